@@ -3,8 +3,8 @@
 - ``steps``: environments in ``floor_plan`` that are stepped inside ``jit``, each towards a goal of its own, and ask
   for the distance before and after each step; of pairs, of goals that are prepared once, and of straight lines.
 - ``maps``: the same queries on maps of many corners, and what the tables of pairs hold of memory.
-- ``scan``: a scan of 800 x 600 cells of 5 cm with specks, for a robot of 0.3 m: ``leaf="best"`` of 4 KB, in a process
-  of its own, from the workspace to the PLR.
+- ``scan``: a scan of 800 x 600 cells of 5 cm with specks, for a robot of 0.3 m: ``leaf="best"`` of 4 KB, seconds from
+  the workspace to the PLR, and the largest memory of a process that draws the scan and does that.
 - ``depots``: 200 of them for 1,000 points, and the first PLR of one goal of pairs.
 - ``snippets``: each block of Python in the README, in a process of its own, from its start to its end.
 """
@@ -37,6 +37,7 @@ PAIRS = 2**16
 CELLS, SHARE_BLOCKED = 84, 0.25
 SCAN, SCAN_ROOMS, CELL, SPECKS, RADIUS = (800, 600), (8, 6), 0.05, 0.0045, 0.3
 DEPOTS, POINTS = 200, 1_000
+WAYS = ("pairs", "prepared", "straight")
 
 
 def steps(seed: int, smoke: bool) -> dict[str, Any]:
@@ -46,18 +47,16 @@ def steps(seed: int, smoke: bool) -> dict[str, Any]:
     x, goals = (jnp.asarray(workspace.sample_free(environments, seed + i), jnp.float32) for i in range(2))
     prepared = jax.jit(lambda pairs, goals: pairs.prepared(goals))
 
-    def ways(pairs: PairPLR, goals: jax.Array) -> dict[str, Callable[[jax.Array], jax.Array]]:
-        ends = pairs.prepared(goals)
-        return {
-            "pairs": lambda x: pairs(x, goals),
-            "prepared": lambda x: pairs(x, ends),
-            "straight": lambda x: jnp.linalg.norm(x - goals, axis=1),
-        }
+    def way(name: str, pairs: PairPLR, goals: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        if name == "straight":
+            return lambda x: jnp.linalg.norm(x - goals, axis=1)
+        ends = pairs.prepared(goals) if name == "prepared" else goals
+        return lambda x: pairs(x, ends)
 
     def rollout(name: str) -> Callable[[], jax.Array]:
         @jax.jit
         def episode(pairs: PairPLR, x: jax.Array, goals: jax.Array, key: jax.Array) -> jax.Array:
-            distance = ways(pairs, goals)[name]
+            distance = way(name, pairs, goals)
 
             def step(x: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
                 after = jnp.clip(x + STRIDE * jax.random.normal(key, x.shape), *map(jnp.asarray, bounds))
@@ -70,13 +69,11 @@ def steps(seed: int, smoke: bool) -> dict[str, Any]:
 
     bounds = (workspace.bounds.lo.astype(np.float32), workspace.bounds.hi.astype(np.float32))
     seconds = interleaved(
-        {**{name: rollout(name) for name in ways(pairs, goals)}, "prepare": lambda: prepared(pairs, goals)},
+        {**{name: rollout(name) for name in WAYS}, "prepare": lambda: prepared(pairs, goals)},
         3 if smoke else 5,
     )
     done = environments * num_steps
-    rows = [
-        {"distance": name, "million steps a second": done / seconds[name].median / 1e6} for name in ways(pairs, goals)
-    ]
+    rows = [{"distance": name, "million steps a second": done / seconds[name].median / 1e6} for name in WAYS]
     return {
         "rows": rows,
         "microseconds to prepare a goal": seconds["prepare"].median / environments * 1e6,
@@ -98,7 +95,7 @@ def maps(seed: int, smoke: bool) -> dict[str, Any]:
 def _asked(name: str, workspace: Workspace, seed: int, smoke: bool) -> dict[str, Any]:
     pairs = construct_pairs(workspace, max_bytes=4_096 if smoke else None)
     began = time.perf_counter()
-    memory = sum(each.nbytes for each in jax.tree.leaves(pairs.tables))
+    memory = pairs.resident_bytes  # which makes the tables
     made = time.perf_counter() - began
     count = 64 if smoke else PAIRS
     x, y = (jnp.asarray(workspace.sample_free(count, seed + i), jnp.float32) for i in range(2))
@@ -121,10 +118,10 @@ def _asked(name: str, workspace: Workspace, seed: int, smoke: bool) -> dict[str,
 
 
 def scan(seed: int, smoke: bool) -> dict[str, Any]:
-    """In a process of its own, so that the memory is its own."""
+    """In a process of its own, whose memory is told at its largest."""
     code = f"from experiments.everyday import scanned; import json; print(json.dumps(scanned({seed}, {smoke})))"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    return {"rows": [json.loads(run.stdout.splitlines()[-1])]}
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return {"rows": [json.loads(done.stdout.splitlines()[-1])]}
 
 
 def scanned(seed: int, smoke: bool) -> dict[str, float]:
@@ -132,7 +129,7 @@ def scanned(seed: int, smoke: bool) -> dict[str, float]:
     free = salted(drawn(size, rooms, seed), SPECKS, seed) > 127
     workspace = Workspace.from_mask(free, CELL).inflate(RADIUS)
     goal = workspace.sample_free(1, seed)[0]
-    began, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.perf_counter()
     oracle = VisibilityGraph(workspace, goal)
     plr = construct(oracle, workspace.bounds, leaf="best", max_bytes=4_096)
     seconds, memory = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -142,7 +139,6 @@ def scanned(seed: int, smoke: bool) -> dict[str, float]:
     return {
         "vertices": len(workspace.boundary.vertices),
         "seconds": seconds,
-        "GB before": before / 1e6,
         "GB at most": memory / 1e6,
         "bytes": plr.num_bytes,
         "mean error": float(error.mean()),

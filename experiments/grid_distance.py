@@ -228,7 +228,7 @@ def environments(seed: int, smoke: bool) -> dict[str, Any]:
         calls |= _rollouts("CAMAR", theirs.reset, theirs.step, ours.reset, ours.step, act, keys)
     if (jaxnav := _module("experiments.environments.jaxnav")) is not None:
         theirs, ours = jaxnav.JaxNav(num_agents=4), jaxnav.ShapedJaxNav(num_agents=4)
-        act = lambda key: {agent: jax.random.uniform(key, 2, minval=-1) for agent in theirs.agents}  # noqa: E731
+        act = lambda key: {agent: jax.random.uniform(key, (2,), minval=-1) for agent in theirs.agents}  # noqa: E731
         calls |= _rollouts("JaxNav", theirs.reset, theirs.step_env, ours.reset, ours.step, act, keys)
     rows = [row | {"steps_a_cpu_second": _STEPS * row["levels_a_cpu_second"]} for row in timed(calls)]
     rate = {row["what"]: row["steps_a_cpu_second"] for row in rows}

@@ -27,8 +27,8 @@ from experiments.environments.maze import (
     LIMIT,
     WEIGHT,
     Cell,
-    Cells,
     Distance,
+    Distances,
     Mask,
     State,
     observe,
@@ -58,15 +58,15 @@ class Kind(NamedTuple):
     is_told: bool = False
 
 
-def none(free: Mask, goal: Cell) -> Cells:
+def none(free: Mask, goal: Cell) -> Distances:
     return jnp.zeros(free.shape)
 
 
-def straight_line(free: Mask, goal: Cell) -> Cells:
+def straight_line(free: Mask, goal: Cell) -> Distances:
     return jnp.linalg.norm(jnp.indices(free.shape) - goal[:, None, None], axis=0)
 
 
-def way_around(free: Mask, goal: Cell) -> Cells:
+def way_around(free: Mask, goal: Cell) -> Distances:
     return grid_distance(free, goal[::-1] + 0.5, moves=4).cells
 
 

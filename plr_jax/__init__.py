@@ -14,12 +14,13 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 
 - Where: `Workspace` and `FreeSpace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
   `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
-- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `NearestGoal`;
-  `robot_distance_fns`, one for each robot.
+- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `VoxelGraph`,
+  `NearestGoal`; `robot_distance_fns`, one for each robot.
 - Inside `jit`, on maps that are arrays and change: `grid_distance`, to a goal a `GridDistance`, else `GridDistances`.
-- Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `RigidBodySpace`, `PlanarArm`, or your own, a
-  `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which tells a `CellState`; what a motion costs there is a
-  `MotionCost`: `CostMap`, `Climbing`, `Current`, or your own `DirectionalCost` or `LipschitzCost`.
+- Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, of any
+  robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which tells
+  a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`, `Climbing`, `Current`, or your
+  own `DirectionalCost` or `LipschitzCost`.
 
 # Store: the answer in kilobytes
 

@@ -35,6 +35,7 @@ from .oracles import NearestGoal as NearestGoal
 from .oracles import ReedsShepp as ReedsShepp
 from .oracles import Roadmap as Roadmap
 from .oracles import VisibilityGraph as VisibilityGraph
+from .oracles import VoxelGraph as VoxelGraph
 from .oracles import robot_distance_fns as robot_distance_fns
 from .pairs import GridPairs as GridPairs
 from .pairs import MetricPairs as MetricPairs
@@ -85,6 +86,7 @@ from .robots.shapes import PointRobot as PointRobot
 from .robots.shapes import PolygonRobot as PolygonRobot
 from .robots.shapes import RectangleRobot as RectangleRobot
 from .spaces import CellState as CellState
+from .spaces import ClearanceSpace as ClearanceSpace
 from .spaces import Climbing as Climbing
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import CostMap as CostMap
@@ -95,8 +97,10 @@ from .spaces import LipschitzCost as LipschitzCost
 from .spaces import MotionCost as MotionCost
 from .spaces import PlanarArm as PlanarArm
 from .spaces import PlaneSpace as PlaneSpace
+from .spaces import RasterCost as RasterCost
 from .spaces import RigidBodySpace as RigidBodySpace
 from .spaces import SeesBoxes as SeesBoxes
+from .spaces import VoxelSpace as VoxelSpace
 from .traced import GridDistance as GridDistance
 from .traced import GridDistances as GridDistances
 from .traced import grid_distance as grid_distance

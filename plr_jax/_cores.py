@@ -12,11 +12,6 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded
 
-try:
-    from jax import enable_x64
-except ImportError:  # before JAX 0.8
-    from jax.experimental import enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-
 _PARTS = 8  # at most, of few rows
 
 
@@ -63,7 +58,7 @@ def answered_in_parts(
             else each[np.unravel_index(np.arange(first, last), batch)]
             for each in whole
         ]
-        with enable_x64(has_doubles):  # which may hold of the calling thread alone
+        with jax.enable_x64(has_doubles):  # which may hold of the calling thread alone
             answers = answer(*(padded(each, size) for each in part))
         if not results:
             results.extend(np.empty(count, each.dtype) for each in answers)

@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from threading import Thread
@@ -100,13 +101,15 @@ class Reader:
         read: Takes a path.
         suffix: How the names of its files end.
         valid: Makes the files' contents.
-        repaired: Takes a mutated file; gives one whose checksum is right.
+        repaired: Takes a mutated file; gives one whose checksum is right, or the same if it is binary and has none.
+        needs: A library without which it cannot read.
     """
 
     read: Callable[[Path], Any]
     suffix: str
     valid: Callable[[], list[bytes]]
     repaired: Callable[[bytes], bytes] | None = None
+    needs: str = "numpy"
 
 
 def _written(save: Callable[[Any, Path], None], values: Iterable[Any]) -> list[bytes]:
@@ -177,6 +180,64 @@ def _picture_files() -> list[bytes]:
     return [written(kind, mode) for kind in modes for mode in modes[kind]]
 
 
+def _array_files() -> list[bytes]:
+    rng, files = np.random.default_rng(0), []
+    for shape, kind in (((30,), bool), ((6, 5), np.uint8), ((4, 5, 6), bool), ((3, 2, 3, 2), np.int64)):
+        buffer = io.BytesIO()
+        np.save(buffer, (rng.random(shape) < 0.7).astype(kind))
+        files.append(buffer.getvalue())
+    return files
+
+
+_VOXELS = "voxel 12 9 6\n" + "".join(f"{i} {i * i % 9} {i % 6}\n" for i in range(12))
+_CORNERS = [(x, y, z) for z in (0, 1.5) for y in (0, 1) for x in (-1, 2.25)]
+_FACES = [
+    (0, 2, 3),
+    (0, 3, 1),
+    (4, 5, 7),
+    (4, 7, 6),
+    (0, 1, 5),
+    (0, 5, 4),
+    (2, 6, 7),
+    (2, 7, 3),
+    (0, 4, 6),
+    (1, 3, 7),
+]
+_OBJ = "mtllib room.mtl\no room\nusemtl wall\n" + "".join(
+    [
+        *("v {} {} {}\n".format(*corner) for corner in _CORNERS),
+        *(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in _FACES),
+    ]
+)
+_PLY_HEADER = (
+    "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face {}\nproperty list uchar int vertex_indices\nend_header\n"
+)
+
+
+def _ply_files() -> list[bytes]:
+    sizes = len(_CORNERS), len(_FACES)
+    corners, faces = (" ".join(map(str, corner)) for corner in _CORNERS), (f"3 {a} {b} {c}" for a, b, c in _FACES)
+    text = _PLY_HEADER.format("ascii", *sizes) + "\n".join([*corners, *faces, ""])
+    packed = [struct.pack("<3f", *corner) for corner in _CORNERS] + [struct.pack("<B3i", 3, *face) for face in _FACES]
+    return [text.encode(), _PLY_HEADER.format("binary_little_endian", *sizes).encode() + b"".join(packed)]
+
+
+def _stl_files() -> list[bytes]:
+    faces = [[_CORNERS[i] for i in face] for face in _FACES]
+    packed = [struct.pack("<12fH", 0, 0, 1, *np.ravel(face), 0) for face in faces]
+    facets = ("".join("vertex {} {} {}\n".format(*corner) for corner in face) for face in faces)
+    text = "".join(f"facet normal 0 0 1\nouter loop\n{facet}endloop\nendfacet\n" for facet in facets)
+    return [
+        bytes(80) + struct.pack("<I", len(faces)) + b"".join(packed),
+        f"solid room\n{text}endsolid room\n".encode(),
+    ]
+
+
+def _read_mesh(path: Path) -> Any:
+    return scenes.read_volume(path, pitch=0.25)
+
+
 def _with_checksums(data: bytes) -> bytes:
     """A picture, of whose chunks the checksums are right if it is a PNG."""
     result, rest = data[:8], data[8:]
@@ -214,10 +275,19 @@ free_thresh: 0.196
 """
 
 
-def _read_map_server(path: Path) -> Workspace:
-    """The map, beside whose file there is its picture."""
-    path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 4 + b"\0") * 4)
-    return scenes.read_map_server(path)
+def _cost_map_files() -> list[bytes]:
+    straight = _MAP_SERVER.replace("0.25", "0.0")
+    return [f"{straight}mode: {mode}\n".encode() for mode in ("trinary", "scale", "raw")]
+
+
+def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    """A reader of the map, beside whose file there is its picture."""
+
+    def reader(path: Path) -> Any:
+        path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 3 + b"\x90\0") * 4)
+        return read(path)
+
+    return reader
 
 
 class _Answers(BaseRequestHandler):
@@ -263,7 +333,13 @@ READERS = {
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
-    "map_server": Reader(_read_map_server, ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", _cost_map_files),
+    "array": Reader(scenes.read_volume, ".npy", _array_files, bytes),
+    "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [_VOXELS.encode()]),
+    "OBJ": Reader(_read_mesh, ".obj", lambda: [_OBJ.encode()], needs="trimesh"),
+    "PLY": Reader(_read_mesh, ".ply", _ply_files, needs="trimesh"),
+    "STL": Reader(_read_mesh, ".stl", _stl_files, needs="trimesh"),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
@@ -425,7 +501,7 @@ def main() -> None:
     signal.signal(signal.SIGALRM, _give_up)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
-    for name in READERS:
+    for name in (name for name in READERS if find_spec(READERS[name].needs)):
         found = [trial(name, number, kept, arguments.seed) for number in range(arguments.mutations)]
         seconds, growth = max(each.seconds for each in found), max(each.growth for each in found) / 1e6
         failures = {number: outcome for number, outcome in enumerate(found) if outcome.failed}

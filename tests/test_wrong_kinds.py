@@ -80,7 +80,7 @@ def refined(**options):
         (lambda: ROOM.sample_free(1.5, 0), "n must be an integer >= 0, got 1.5"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
         (lambda: scenes.perturbed(scenes.maze(), "a"), "seed must be an integer >= 0, got 'a'"),
-        (lambda: Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). What serves volumes: Roadmap and sol"),
+        (lambda: Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). What serves volumes: VoxelSpace"),
         (lambda: GridGraph(VOXELS, (1, 1)), r"got bool of shape \(2, 2, 2\). What serves volumes"),
         (lambda: VisibilityGraph(VOXELS, (1, 1, 1)), r"an array of shape \(2, 2, 2\). What serves volumes"),
         (lambda: Workspace(VOXELS), r"an array of shape \(2, 2, 2\). What serves volumes"),

@@ -35,7 +35,7 @@ class ShapedCamar(GymnaxWrapper):
     """
 
     def __init__(self, discount: float = 0.99, weight: float = 1.0, max_corners: int | None = None, **options: Any):
-        super().__init__(camar_v0(pos_shaping_factor=0.0, **options))
+        super().__init__(camar_v0(pos_shaping_factor=0.0, **options))  # pyright: ignore[reportCallIssue]
         self.discount, self.weight, self.max_corners = discount, weight, max_corners
         self.map = self._env.map_generator
         self.side = getattr(self.map, "obstacle_size", 2 * self.map.landmark_rad)

@@ -52,7 +52,8 @@ class ShapedMaze(gymnasium.Wrapper):
         """As that of the maze."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         both = np.stack([self.x, observation["achieved_goal"]])
-        before, after = -self.weight * np.asarray(self.distance(both, observation["desired_goal"]))
+        distances = np.asarray(self.distance(both, observation["desired_goal"]))
+        before, after = np.where(np.isfinite(distances), -self.weight * distances, 0.0)
         self.x = observation["achieved_goal"]
         gain = self.discount * (0.0 if terminated else after) - before
         return observation, float(reward + gain), terminated, truncated, info

@@ -18,10 +18,10 @@ _ROOMS = SIZE // 2  # a side
 _MOVES = jnp.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
 
 Mask = Bool[Array, "size size"]
-Cells = Float[Array, "size size"]
+Distances = Float[Array, "size size"]
 Cell = Int[Array, "2"]
 """Row and column."""
-Distance = Callable[[Mask, Cell], Cells]
+Distance = Callable[[Mask, Cell], Distances]
 """Distances of all cells of a maze to a goal."""
 
 
@@ -39,7 +39,7 @@ class State(NamedTuple):
 
     free: Mask
     goal: Cell
-    distance: Cells
+    distance: Distances
     cell: Cell
     move: Float[Array, "4"]
     time: Int[Array, ""]
@@ -65,7 +65,7 @@ def maze(chances: Float[Array, "2 rooms rooms"]) -> Mask:
 
 def reset(key: Array, distance: Distance) -> State:
     """A new maze, with start and goal in two of its rooms."""
-    chances = jax.random.uniform(key, 2 * _ROOMS**2 + 2)  # one call: each takes a while to compile
+    chances = jax.random.uniform(key, (2 * _ROOMS**2 + 2,))  # one call: each takes a while to compile
     goal = (chances[0] * _ROOMS**2).astype(int)
     start = (goal + 1 + (chances[1] * (_ROOMS**2 - 1)).astype(int)) % _ROOMS**2
     free, goal, start = maze(chances[2:].reshape(2, _ROOMS, _ROOMS)), _cell(goal), _cell(start)

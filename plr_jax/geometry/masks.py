@@ -291,7 +291,7 @@ def placed_region(
     pose = as_numbers("origin", origin, "(x, y) or (x, y, yaw)")
     if pose.shape not in ((2,), (3,)) or not np.isfinite(pose).all():
         raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
-    _require_resolved(free.shape, resolution, np.abs(pose[:2]).max())
+    require_resolved_pixels(free.shape, resolution, np.abs(pose[:2]).max())
     free = free if row0 == "bottom" else free[::-1]
     free = without_specks(free, drop_specks) if drop_specks else free
     if not free.any():
@@ -313,7 +313,7 @@ def rounded_one_by_one(region: Any, grid: float) -> Any:
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
-def _require_resolved(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
     """Refuse pixels that coordinates of double precision cannot tell apart where the grid lies."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size

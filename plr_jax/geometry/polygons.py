@@ -150,7 +150,7 @@ def advice_on_cells(value: object) -> str:
     if value.ndim == 2:
         return " Of pixels a map is Workspace.from_mask(free)."
     return (
-        " What serves volumes: Roadmap and solve_eikonal, for a test of your own of what is free, and GridField, for "
+        " What serves volumes: VoxelSpace(free), for solve_eikonal, VoxelGraph(free, goal), and GridField, for "
         "distances of voxels that another library found."
     )
 

@@ -9,3 +9,4 @@ from plr_jax.oracles._nearest_goal import NearestGoal as NearestGoal
 from plr_jax.oracles._roadmap import Roadmap as Roadmap
 from plr_jax.oracles._robot_distances import robot_distance_fns as robot_distance_fns
 from plr_jax.oracles._visibility_graph import VisibilityGraph as VisibilityGraph
+from plr_jax.oracles._voxel_graph import VoxelGraph as VoxelGraph

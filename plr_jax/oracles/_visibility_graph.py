@@ -312,8 +312,11 @@ class VisibilityGraph:
         found = visible_sources(sight, self._regions, domain)
         around: Any = shapely.get_parts(self.workspace.free_space)
         around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
-        area = float(shapely.area(shapely.clip_by_rect(around, *domain.lo, *domain.hi)).sum())
-        if (reached := float(areas(found.pieces).sum())) < (1 - _LOST) * area:
+        # Not clip_by_rect, which errs where edges end on sides of the box.
+        around = shapely.intersection(around, shapely.box(*domain.lo, *domain.hi))
+        area, outline = float(shapely.area(around).sum()), float(shapely.length(around).sum())
+        rounded = _LOST * area + self.workspace.tolerance * outline
+        if (reached := float(areas(found.pieces).sum())) < area - rounded:
             raise ValueError(
                 f"The goal is found to be reached from {reached / area:.3g} of the free space that it lies in: where "
                 "obstacles all but touch, corners are nearer to one another than the workspace's tolerance, "

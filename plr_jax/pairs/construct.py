@@ -132,6 +132,7 @@ class _ListTree:
         lists: Of all nodes.
         key: How soon each is to be halved; not before its parent.
         is_leaf: Which nodes are leaves.
+        parent: The node that each is a half of; -1 of the root.
         visible: Of the leaves, in order.
     """
 

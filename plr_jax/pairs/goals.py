@@ -9,12 +9,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Array, Float, UInt32
 
 from plr_jax.pairs.query import (
     after_all_rounds,
     at,
-    bit_of,
     corner_of,
     is_hidden,
     is_leg_hidden,
@@ -22,6 +21,7 @@ from plr_jax.pairs.query import (
     legs,
     part_by_part,
     smallest,
+    with_bit,
 )
 from plr_jax.pairs.tables import PairTables
 from plr_jax.plr.query.lookup import lookup
@@ -34,23 +34,23 @@ class PreparedGoals:
 
     Attributes:
         points: The goals, counted from the middle of the domain, in 32 bits.
-        onward: The distance of each goal from each corner; ``inf`` where none is reached.
+        to_corners: The distance of each goal to each corner; ``inf`` where no path joins them.
     """
 
     points: Float[Array, "*batch 2"]
-    onward: Float[Array, "*batch size"]
+    to_corners: Float[Array, "*batch size"]
 
 
-def onward_of(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
     """The length of the shortest way from each corner to points, by the corners that each sees or straight."""
     leaf = lookup(tables.partition, points)
     legs_of_points = legs(tables, leaf, points)
 
-    def by_corner(column: Array, onward: Float[Array, "n size"]) -> Float[Array, "n size"]:
+    def by_corner(column: Array, found: Float[Array, "n size"]) -> Float[Array, "n size"]:
         place = jnp.full(leaf.shape, column, jnp.uint32)
         hidden = is_leg_hidden(tables, leaf, place, points, corner_of(tables, leaf, place))
         leg = jnp.where(hidden, jnp.inf, legs_of_points[:, column])
-        return jnp.minimum(onward, leg[:, None] + tables.distances[tables.listed[leaf, place]])
+        return jnp.minimum(found, leg[:, None] + tables.distances[tables.listed[leaf, place]])
 
     none = jnp.full((points.shape[0], len(tables.distances)), jnp.inf, jnp.float32)
     return jax.lax.fori_loop(0, tables.x.shape[1], by_corner, none)
@@ -76,32 +76,27 @@ class _Search:
     least: Float[Array, "n"]
     done: UInt32[Array, "n words"]
 
-    @property
-    def is_open(self) -> Bool[Array, "n"]:
-        """Whether a shorter way may be left."""
-        return self.least < self.length
-
 
 def ways_to_goals(
     tables: PairTables,
-    onward: Float[Array, "goals size"],
+    to_corners: Float[Array, "goals size"],
     x: Float[Array, "n 2"],
     y: Float[Array, "n 2"],
     goal: UInt32[Array, "n"],
 ) -> tuple[Float[Array, "n"], Float[Array, "n 2"]]:
     """Lengths of shortest ways from points to others that are goals of some numbers, and where each goes first."""
-    return part_by_part(partial(_ways, tables, onward), x, y, goal)
+    return part_by_part(partial(_ways, tables, to_corners), x, y, goal)
 
 
 def _ways(
     tables: PairTables,
-    onward: Float[Array, "goals size"],
+    to_corners: Float[Array, "goals size"],
     x: Float[Array, "n 2"],
     y: Float[Array, "n 2"],
     goal: UInt32[Array, "n"],
 ) -> tuple[Float[Array, "n"], Float[Array, "n 2"]]:
     leaf, longest = lookup(tables.partition, x), tables.x.shape[1]
-    rest = at(onward.ravel(), goal[:, None] * onward.shape[1] + tables.listed[leaf])
+    rest = at(to_corners.ravel(), goal[:, None] * to_corners.shape[1] + tables.listed[leaf])
     points = _Points(x, leaf, jax.lax.optimization_barrier(legs(tables, leaf, x) + rest))
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, leg_length(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
@@ -110,12 +105,12 @@ def _ways(
     def after_round(points: _Points, search: _Search) -> _Search:
         first, length, second = smallest(points.way, search.done)
         hidden = is_leg_hidden(tables, points.leaf, first, points.x, corner_of(tables, points.leaf, first))
-        better = search.is_open & ~hidden & (length < search.length)
+        better = ~hidden & (length < search.length)
         return _Search(
             length=jnp.where(better, length, search.length),
             via=jnp.where(better, first, search.via),
-            least=jnp.where(search.is_open, second, search.least),
-            done=search.done | bit_of(first, search.is_open, search.done),
+            least=second,
+            done=with_bit(search.done, first),
         )
 
     search = after_all_rounds(after_round, points, search)

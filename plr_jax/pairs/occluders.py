@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import padded
 from plr_jax.geometry.box import Box
 
-IN_GROUP = 16  # occluders that are tested together
 _PAIRS = 2**12  # of random points, of which those that an occluder hides are counted
 _MOST_VERTICES, _MOST_CHORDS = 96, 64  # of an obstacle, that are tried
 _CLEAR = 2e-6  # widths of the domain from an occluder's line, nearer than which rounding may put a point across it
 
 
-def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "groups 16 7"]:
+def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
     """The occluders of what a region of free space leaves of the domain.
 
     Args:
@@ -28,8 +26,8 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         num_walls: How many walls are tested for each pair that no occluder hides.
 
     Returns:
-        Groups of them, counted from the middle of the domain: both ends, and a linear function that is 0 on the line
-        through them and 1 at the distance at which a point is certainly beside it. The last ones are nothing.
+        A row of each, counted from the middle of the domain: both ends, and a linear function that is 0 on the line
+        through them and 1 at the distance at which a point is certainly beside it.
     """
     import shapely  # which PLRs do not need
 
@@ -51,8 +49,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     along = ends[:, 1] - ends[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
     beside = np.column_stack([normal, (normal * ends[:, 0]).sum(axis=1)]) / (_CLEAR * width)
-    rows = np.concatenate([ends.reshape(-1, 4), beside], axis=1)
-    return padded(rows, -(-len(rows) // IN_GROUP) * IN_GROUP).reshape(-1, IN_GROUP, 7)
+    return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
 
 
 def _chords(region: Any, domain: Box, depth: float, rng: np.random.Generator) -> Float[np.ndarray, "chords 2 2"]:

@@ -73,7 +73,7 @@ class Outline:
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are in free space."""
-        import shapely  # which a query does not need
+        import shapely  # which to load a file does not need
 
         shapely.prepare(self.region)
         return shapely.intersects_xy(self.region, *x.T)

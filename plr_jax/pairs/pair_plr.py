@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from itertools import product
 from math import prod
 from typing import Any, TypeAlias
@@ -18,7 +18,7 @@ from plr_jax._arrays import as_finite_point, run_members
 from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.goals import PreparedGoals, onward_of, ways_to_goals
+from plr_jax.pairs.goals import PreparedGoals, distances_to_corners, ways_to_goals
 from plr_jax.pairs.query import is_inside, shortest_ways
 from plr_jax.pairs.stored import Stored
 from plr_jax.pairs.tables import PairTables, build_pair_tables
@@ -213,11 +213,12 @@ class PairPLR(HeldFile):
         return self._answered(partial(_distances, outside=as_outside(outside)), x, y)[0]
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
-        """Goals that are asked for many times, as second points of a call: it then takes a third of the time or less.
+        """Goals that are asked for many times, as second points of a call.
 
-        Clean under ``jax.jit`` and ``jax.vmap``, as where an environment draws its goal in ``reset``. Answers differ
-        from those of the points themselves by rounding; they have no gradient in the goals, whose coordinates have
-        32 bits, and with ``outside="clamp"`` a goal outside stays there: ``inf``.
+        It then takes about half the time on small maps, a fifth on large ones. Clean under ``jax.jit`` and
+        ``jax.vmap``, as where an environment draws its goal in ``reset``. Answers differ from those of the points
+        themselves by rounding; they have no gradient in the goals, whose coordinates have 32 bits, and with
+        ``outside="clamp"`` a goal outside stays there: ``inf``. To pairs of another map they mean nothing.
 
         Args:
             goals: The goals, ``(..., 2)``.
@@ -229,17 +230,25 @@ class PairPLR(HeldFile):
             ValueError: As for a call.
         """
         goals = self._from_middle("goals", goals)
-        x, _, shape, _ = _checked(self.tables, *(2 * [jnp.asarray(goals, jnp.float32)]))
-        onward = _onward(self.tables, jax.lax.stop_gradient(x))
-        return PreparedGoals(jnp.asarray(goals, jnp.float32), onward.reshape(*shape, -1))
+        points = jnp.asarray(goals, jnp.float32)
+        (inside,), shape, _ = _checked(self.tables, points)
+        to_corners = _to_corners(self.tables, jax.lax.stop_gradient(inside))
+        return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
     def _to_prepared(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
         x, batch = self._from_middle("x", x), goals.points.shape[:-1]
+        _require_broadcast("x and goals", x, goals.points)
+        size, corners = goals.to_corners.shape[-1], len(self.tables.distances)
+        if size != corners:
+            raise ValueError(
+                f"Goals must have been prepared by these pairs, whose map has {corners} corners, got such of a map with "
+                f"{size}: call prepared of these."
+            )
         number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
         answer = partial(_distances_to, self.tables, goals, outside=outside)
         if not is_on_one_host(x, goals.points, self.tables.walls):
             return answer(x, number)[0]
-        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x, x)))
+        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
         return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -282,7 +291,8 @@ class PairPLR(HeldFile):
 
     def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
         """What a function of the tables and points answers: in parts, on all cores of a CPU."""
-        x, y = self._placed(x, y)
+        x, y = self._from_middle("x", x), self._from_middle("y", y)
+        _require_broadcast("x and y", x, y)
         if not is_on_one_host(x, y, self.tables.walls):
             return answer(self.tables, x, y)
         with np.errstate(over="ignore"):  # far outside
@@ -290,11 +300,8 @@ class PairPLR(HeldFile):
         answers = answered_in_parts(partial(answer, self.tables), (_FEW, _MANY), *points)
         return tuple(map(jnp.asarray, answers))
 
-    def _placed(self, x: ArrayLike, y: ArrayLike) -> tuple[ArrayLike, ...]:
+    def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
         """Points counted from the middle of the domain: those of NumPy in their own precision."""
-        return tuple(self._from_middle(name, p) for name, p in (("x", x), ("y", y)))
-
-    def _from_middle(self, name: str, x: ArrayLike) -> ArrayLike:
         x = x if isinstance(x, jax.Array) else as_array(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -355,7 +362,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     if outside == "clamp":
         (x, way_x), (y, way_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
         return (_distances(tables, x, y, "inf")[0] + (way_x + way_y),)
-    x, y, shape, answer = _checked(tables, x, y)
+    (x, y), shape, answer = _checked(tables, x, y)
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
     single = [jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y)]
@@ -373,8 +380,8 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 
 
 @jax.jit
-def _onward(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
-    return onward_of(tables, points)
+def _to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+    return distances_to_corners(tables, points)
 
 
 @partial(jax.jit, static_argnames="outside")
@@ -383,13 +390,13 @@ def _distances_to(
 ) -> tuple[Float[Array, "*batch"]]:
     """Distances from points to the goals of some numbers, ``(*batch, 1)``."""
     if outside == "clamp":
-        x, way = _clamped(tables, x.astype(_floats_of(x, x)))
+        x, way = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
-    points, onward = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.onward))
+    points, to_corners = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.to_corners))
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
-    x, y, shape, answer = _checked(tables, x, points[number])
+    (x, y), shape, answer = _checked(tables, x, points[number])
     single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
-    length, via = ways_to_goals(tables, jax.lax.stop_gradient(onward), single, end, number.ravel())
+    length, via = ways_to_goals(tables, jax.lax.stop_gradient(to_corners), single, end, number.ravel())
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
     via, length = via.astype(x.dtype), length.astype(x.dtype)
@@ -401,7 +408,7 @@ def _distances_to(
 
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    x, y, shape, answer = _checked(tables, x, y)
+    (x, y), shape, answer = _checked(tables, x, y)
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
     absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
@@ -427,22 +434,31 @@ def _clamped(
 
 
 def _checked(
-    tables: PairTables, x: Array, y: Array
-) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], tuple[int, ...], Float[Array, "n"]]:
-    """Pairs in a row, inside the domain; their shape; and what to answer: ``inf`` outside, NaN for NaN, else 0."""
-    x, y = jnp.broadcast_arrays(*(p.astype(_floats_of(x, y)) for p in (x, y)))
-    shape = x.shape[:-1]
-    x, y = x.reshape(-1, 2), y.reshape(-1, 2)
-    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > _ends(tables, x)
-    answer = jnp.where(beyond.any(axis=1), jnp.inf, jnp.zeros((), x.dtype))
-    answer = jnp.where(jnp.isnan(x).any(axis=1) | jnp.isnan(y).any(axis=1), jnp.nan, answer)
-    x, y = (jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in (x, y))
-    return x, y, shape, answer
+    tables: PairTables, *points: Array
+) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
+    """Points, or pairs, in rows and inside the domain; their shape; and what to answer.
+
+    That is ``inf`` outside, NaN for NaN, else 0.
+    """
+    batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
+    shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
+    farthest = reduce(jnp.maximum, map(jnp.abs, rows))
+    answer = jnp.where((farthest > _ends(tables, farthest)).any(axis=1), jnp.inf, jnp.zeros((), farthest.dtype))
+    answer = jnp.where(jnp.isnan(farthest).any(axis=1), jnp.nan, answer)
+    return [jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in rows], shape, answer
 
 
-def _floats_of(x: Any, y: Any) -> Any:
+def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> None:
+    """Raise ``ValueError`` if points do not broadcast."""
+    try:
+        jnp.broadcast_shapes(x.shape, y.shape)
+    except ValueError:
+        raise ValueError(f"{names} must broadcast, got shapes {x.shape} and {y.shape}.") from None
+
+
+def _floats_of(*points: Any) -> Any:
     """The precision of an answer: 64 bits if a point is of as many, else 32."""
-    return jnp.float64 if jnp.float64 in (x.dtype, y.dtype) else jnp.float32
+    return jnp.float64 if jnp.float64 in [p.dtype for p in points] else jnp.float32
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:

@@ -32,7 +32,7 @@ _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
 
 Of, Columns = TypeVar("Of"), TypeVar("Columns")
-Found = TypeVar("Found", bound=Any)  # with `is_open`, of which pairs a shorter way may be left
+Found = TypeVar("Found", bound=Any)  # with `length`, of the shortest found, and `least`: none left is shorter
 
 
 @jax.tree_util.register_dataclass
@@ -75,11 +75,6 @@ class Search:
     least: Float[Array, "n"]
     done_x: UInt32[Array, "n words"]
     done_y: UInt32[Array, "n words"]
-
-    @property
-    def is_open(self) -> Bool[Array, "n"]:
-        """Whether a shorter way may be left."""
-        return self.least < self.length
 
 
 @jax.tree_util.register_dataclass
@@ -137,23 +132,31 @@ def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) ->
 
 
 def after_all_rounds(after_round: Callable[[Of, Found], Found], pairs: Of, search: Found) -> Found:
-    """The search after all rounds.
+    """The search after all rounds, each of pairs that are open: of which a shorter way may be left.
 
     It ends, as each round strikes a corner off a list of each pair that is open.
     """
-    size = search.is_open.shape[0]
+    size = search.length.shape[0]
+
+    def is_open(search: Found) -> Bool[Array, "n"]:
+        return search.least < search.length
 
     def while_open(than: int, after: Callable[[Found], Found], search: Found) -> Found:
-        return jax.lax.while_loop(lambda search: search.is_open.sum() > than, after, search)
+        return jax.lax.while_loop(lambda search: is_open(search).sum() > than, after, search)
+
+    def round_of_all(search: Found) -> Found:
+        stays = ~is_open(search)
+        after = after_round(pairs, search)
+        return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
     def round_of_first(count: int, search: Found) -> Found:
-        number = jnp.cumsum(search.is_open)  # of each open pair, from 1
+        number = jnp.cumsum(is_open(search))  # of each open pair, from 1
         lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
         first = after_round(*jax.tree.map(lambda a: at(a, lanes, "clip"), (pairs, search)))
         return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
 
     if is_symbolic_dim(size) or size <= _FEW:
-        return while_open(0, partial(after_round, pairs), search)
+        return while_open(0, round_of_all, search)
     if size > _MANY:
         search = while_open(_MANY, partial(round_of_first, _MANY), search)
     return while_open(0, partial(round_of_first, _FEW), search)
@@ -178,7 +181,7 @@ def _at_least(
 
 
 def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
-    """The search after a look into the most promising corner of each first point whose pair is open."""
+    """The search after a look into the most promising corner of each first point."""
     x, y, leaf_x, leaf_y = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y
     first, at_first, second = smallest(pairs.at_least, search.done_x)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
@@ -189,27 +192,25 @@ def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
     hidden_x = is_leg_hidden(tables, leaf_x, first, x, via_x)
     hidden_y = is_leg_hidden(tables, leaf_y, last, y, via_y)
     length = jnp.where(hidden_x | hidden_y, jnp.inf, leg_length(x - via_x) + rest)
-    is_open = search.is_open
     is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
-    least = jnp.where(is_done, second, jnp.minimum(at_first, second))
-    better = is_open & (length < search.length)
+    better = length < search.length
     return Search(
         length=jnp.where(better, length, search.length),
         via_x=jnp.where(better, first, search.via_x),
         via_y=jnp.where(better, last, search.via_y),
-        least=jnp.where(is_open, least, search.least),
-        done_x=search.done_x | bit_of(first, is_open & is_done, search.done_x),
-        done_y=search.done_y | bit_of(last, is_open & hidden_y, search.done_y),
+        least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
+        done_x=with_bit(search.done_x, first, is_done),
+        done_y=with_bit(search.done_y, last, hidden_y),
     )
 
 
-def bit_of(
-    place: UInt32[Array, "n"], if_so: Bool[Array, "n"], words: UInt32[Array, "n words"]
+def with_bit(
+    words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool = True
 ) -> UInt32[Array, "n words"]:
-    """The bit of a place, if so, in words like those."""
+    """Words after the bit of a place is set in each, if so."""
     number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
-    bit = jnp.where(number == (place >> 5)[:, None], jnp.uint32(1) << (place & 31)[:, None], 0)
-    return jnp.where(if_so[:, None], bit, 0)
+    bit = jnp.where(if_so, jnp.uint32(1) << (place & 31), 0)
+    return words | jnp.where(number == (place >> 5)[:, None], bit[:, None], 0)
 
 
 def smallest(
@@ -277,7 +278,7 @@ def is_leg_hidden(
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     """Whether an obstacle is between points: most pairs that one hides are told by the occluders, others by walls."""
-    size, hidden = x.shape[0], is_across_occluder(tables, x, y)
+    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     if is_symbolic_dim(size) or size <= _TESTED:
         return hidden | _is_across_walls(tables, x, y)
     number = jnp.cumsum(~hidden)  # of each pair that is left, from 1
@@ -290,7 +291,9 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     return jax.lax.fori_loop(0, -(-number[-1] // _TESTED), of_next, hidden)
 
 
-def is_across_occluder(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+def is_across_occluder(
+    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
+) -> Bool[Array, "n"]:
     """Whether lines between points cross an occluder for certain, whatever is rounded.
 
     An end that is on the line's other side but for rounding is behind none of two points that are clear of its line.
@@ -299,14 +302,14 @@ def is_across_occluder(tables: PairTables, x: Float[Array, "n 2"], y: Float[Arra
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px
 
-    def meets(hidden, occluders):
-        for ax, ay, bx, by, nx, ny, offset in occluders:
+    def meets(hidden, group):
+        for ax, ay, bx, by, nx, ny, offset in group:
             p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
             a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
             hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
         return hidden, None
 
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), tables.occluders)[0]
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]
 
 
 def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -177,7 +177,7 @@ class Stored:
 
         Raises ``ValueError`` if the outline is none of a workspace, which is not found out before it is asked for.
         """
-        import shapely  # which a query does not need
+        import shapely  # which to load a file does not need
 
         from plr_jax.geometry.workspace import Workspace
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.near_walls import NearWalls
-from plr_jax.pairs.occluders import IN_GROUP, occluders_of
+from plr_jax.pairs.occluders import occluders_of
 from plr_jax.pairs.stored import Stored, distances_by_rows
 from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
@@ -19,7 +19,7 @@ RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""
 _MARGIN = RECEDING / 4
 """How near to a hull, in widths of the domain, walls may hide its corner from it: more than a query rounds."""
-_UNROLLED = 16  # walls at a time
+_UNROLLED = 16  # walls, or occluders, at a time
 _LEAVES_AT_ONCE = 32
 
 
@@ -39,7 +39,7 @@ class PairTables:
     Attributes:
         partition: Finds leaves.
         walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
-        occluders: Segments inside obstacles, see :func:`occluders_of`.
+        occluders: Segments inside obstacles, see :func:`occluders_of`; groups, padded with zeros.
         near: Walls that may hide a corner of a leaf's list; None where they are too many to be worth it.
         x: First coordinate of the corners of each leaf's list; padding is ``inf``.
         y: Second coordinate.
@@ -48,6 +48,7 @@ class PairTables:
         onward: Two numbers in one, about the ways from each corner, by a corner of a leaf's list, to anywhere in the
             leaf's box: in the last bits the corner of the list by which the shortest goes; in the other bits, as a
             float, a lower bound of the length of all ways by other corners of the list.
+        corners: The corners; padding is ``inf``.
         middle: The middle of the domain, in 32 bits, and what they leave of it.
         half: Half its width, along each axis.
         proud_walls: Ends of the walls moved into free space instead.
@@ -105,8 +106,8 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     x, y = (along[listed] for along in points.T)
     return PairTables(
         partition=partition,
-        walls=_groups_of_walls(walls),
-        occluders=_occluders(stored, receding),
+        walls=_in_groups(_with_sides(walls)),
+        occluders=_in_groups(_occluders(stored, receding)),
         near=near,
         x=_in_32_bits(x),
         y=_in_32_bits(y),
@@ -116,20 +117,20 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         corners=_in_32_bits(padded(points, size, np.inf)),
         middle=_in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=_in_32_bits(stored.domain.width / 2),
-        proud_walls=_groups_of_walls(stored.outline.moved_walls(-receding) - np.tile(middle, 2)),
+        proud_walls=_in_groups(_with_sides(stored.outline.moved_walls(-receding) - np.tile(middle, 2))),
         proud_corners=_in_32_bits(padded(proud, size, np.inf)),
         rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
         unresolved=unresolved_types(stored.domain),
     )
 
 
-def _occluders(stored: Stored, receding: float) -> Float[Array, "groups 16 7"]:
+def _occluders(stored: Stored, receding: float) -> Float[np.ndarray, "occluders 7"]:
     """Occluders farther inside obstacles than walls move back."""
     try:
         region = stored.outline.region
     except ValueError:  # details narrower than the lattice: their walls are all that is known
-        return jnp.zeros((0, IN_GROUP, 7))
-    return _in_32_bits(occluders_of(region, stored.domain, 4 * receding, len(stored.outline.points)))
+        return np.zeros((0, 7))
+    return occluders_of(region, stored.domain, 4 * receding, len(stored.outline.points))
 
 
 def _distances_table(stored: Stored, size: int) -> Float[Array, "size size"]:
@@ -150,13 +151,17 @@ def _in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
     return jnp.asarray(values.astype(np.float32))
 
 
-def _groups_of_walls(walls: Float[np.ndarray, "walls 4"]) -> Float[Array, "groups 16 7"]:
-    """Walls in groups; the last ones have no length."""
-    size = _UNROLLED * size_in_eighths(-(-len(walls) // _UNROLLED))
+def _with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
+    """Walls in 32 bits, and of each what tells on which side of it points are."""
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
-    of_wall = np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
-    return jnp.asarray(padded(of_wall, size).reshape(-1, _UNROLLED, 7))
+    return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
+
+
+def _in_groups(rows: Float[np.ndarray, "n 7"]) -> Float[Array, "groups 16 7"]:
+    """Rows in groups, the last ones zeros: walls without length, and occluders that nothing is beside."""
+    size = _UNROLLED * size_in_eighths(-(-len(rows) // _UNROLLED))
+    return _in_32_bits(padded(rows, size).reshape(-1, _UNROLLED, 7))
 
 
 def _listed(stored: Stored, rows: int, count: int) -> UInt16[np.ndarray, "rows longest"]:

@@ -1,7 +1,8 @@
 """Pictures of piecewise linear regressions, their errors, workspaces, problems, and paths, still or in motion.
 
 Every ``plot_`` function draws on the axes it is given, or on a new figure of its own, and returns the axes;
-:func:`save` writes the picture. :func:`animate` sets a path in motion. Figures are made without pyplot, so no
+:func:`save` writes the picture. :func:`slices` draws functions of three or more dimensions in a figure of their own,
+and :func:`animate` sets a path in motion. Figures are made without pyplot, so no
 global state changes. They have an opaque white page with dark ink, which stays legible when the picture is set into
 a dark page, and use colors that color-blind readers can tell apart.
 """
@@ -10,6 +11,8 @@ from plr_jax.plot._animation import Animation, animate
 from plr_jax.plot._page import save
 from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
 from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_surface, plot_workspace
+from plr_jax.plot._slices import slices
+from plr_jax.plot._volume import plot_volume
 
 __all__ = [
     "Animation",
@@ -21,6 +24,8 @@ __all__ = [
     "plot_problem",
     "plot_samples",
     "plot_surface",
+    "plot_volume",
     "plot_workspace",
     "save",
+    "slices",
 ]

@@ -21,10 +21,10 @@ DISTANCE_COLORS = "viridis"
 DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
 FONT_SIZE = 9
 _PANEL = 4.2  # inches along the longer side of the plotted box
-_DPI = 200
-_SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
+DPI = 200
+SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
 _FULL_TURN = 2 * math.pi
-_POSITION, _HEADING = ("x", "y"), "heading"
+_POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 
 @runtime_checkable
@@ -72,7 +72,7 @@ def dressed_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = Tru
     """The axes, or new ones, set up to show a slice of a box: limits, ticks, labels, ink."""
     box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
     alike = kinds[0] == kinds[1]
-    ax = ax or new_axes(box if alike else _SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
+    ax = ax or new_axes(box if alike else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
     ax.set_xlim(box.lo[0], box.hi[0])
     ax.set_ylim(box.lo[1], box.hi[1])
     ax.set_aspect("equal" if alike else "auto")
@@ -102,7 +102,7 @@ def axis_label(domain: Box, axis: int) -> str:
     if angles[axis]:
         return f"{_HEADING if angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
     has_positions = not any(angles[:2]) and domain.dim in (2, 3)
-    return f"{_POSITION[axis]} ({WORKSPACE_UNITS})" if has_positions and axis < 2 else f"coordinate {axis + 1}"
+    return f"{_POSITION[axis]} ({WORKSPACE_UNITS})" if has_positions else f"coordinate {axis + 1}"
 
 
 def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
@@ -113,7 +113,7 @@ def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
     return {0: "0", 2: r"$\pi$", -2: r"$-\pi$"}.get(halves, rf"${halves // 2}\pi$")
 
 
-def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = _DPI) -> Axes:
+def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
     """Axes in a figure of their own, with margins in inches at the left and below, at the right and above."""
     size = _PANEL * box.width / box.width.max()
     total = size + np.add(before, after)
@@ -123,7 +123,7 @@ def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], 
 
 def new_axes_3d(box: Box, label: str) -> Axes3D:
     """New axes for a surface over a box, with room for a color bar at their right."""
-    figure = Figure(figsize=(6.2, 4.6), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white")
     ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
     ax.set_box_aspect((*(box.width / box.width.max()), 0.7))

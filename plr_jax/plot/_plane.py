@@ -182,12 +182,12 @@ def plot_contours(
             axes that are not its own, or a space of another dimension; or if no point has an answer.
     """
     shown = Slice.of(plr.domain, at)
-    _require_shown(shown, workspace, space)
+    require_shown(shown, workspace, space)
     ax = dressed_axes(ax, shown)
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
-    free, cut_off = _free(points, shown, workspace, space), []
+    free, cut_off = free_points(points, shown, workspace, space), []
     if goal is not None:
         goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
     if goal is not None and workspace is not None:
@@ -198,7 +198,7 @@ def plot_contours(
     if not of_free.count():
         raise ValueError("There is nothing to draw: no point has an answer in free space.")
     largest = float(of_free.max())
-    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
+    image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
     if min(values.shape) > 1:
         levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
         across = points[..., list(shown.axes)]
@@ -209,7 +209,7 @@ def plot_contours(
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     elif space is not None:
         blocked = np.ma.masked_where(free, np.ones(free.shape))
-        _add_image(ax, shown.box, blocked, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
+        add_image(ax, shown.box, blocked, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
     if goal is not None:
         ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
     add_colorbar(ax, image, f"{label} ({unit})")
@@ -241,7 +241,7 @@ def plot_cells(
             axes that are not its own.
     """
     shown = Slice.of(plr.domain, at)
-    _require_shown(shown, workspace, None)
+    require_shown(shown, workspace, None)
     ax = dressed_axes(ax, shown, room_for_colorbar=False)
     cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
@@ -289,10 +289,10 @@ def plot_error(
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
     ax = dressed_axes(ax, shown)
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    image = _add_image(ax, shown.box, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
+    image = add_image(ax, shown.box, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
-        _add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
+        add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "max" if finite.max() > largest else "neither"
@@ -301,7 +301,7 @@ def plot_error(
     return ax
 
 
-def _require_shown(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
+def require_shown(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
     """Refuse obstacles of other axes than are drawn."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"Obstacles of a workspace belong to axes 0 and 1, but axes {shown.axes} are drawn.")
@@ -311,7 +311,7 @@ def _require_shown(shown: Slice, workspace: Workspace | None, space: FreeTest | 
         raise ValueError(f"A space of {shown.domain.dim} dimensions was expected, got {space.domain.dim}.")
 
 
-def _free(
+def free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
     """Whether points are free: all of them, if nothing says which."""
@@ -342,7 +342,7 @@ def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4
     return rectangles(lo[meets][:, shown.axes], hi[meets][:, shown.axes])
 
 
-def _add_image(
+def add_image(
     ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, lowest: float, largest: float | None
 ) -> AxesImage:
     """Show values at the cell centers of a grid over a box."""

@@ -81,8 +81,10 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
         raise ValueError(
-            f"Nothing is proven of {domain}: so far from the origin free space is known to {root.slack:.2g} only, "
-            f"above {_COARSEST:g} of the shorter side. Choose an origin that is near, or build it without a proof."
+            f"Nothing is proven of {domain}: its free space is known to {root.slack:.2g} only, above "
+            f"{_COARSEST:g} of the shorter side: it is too far from the origin for its size, too narrow for its "
+            "length, or small beside its workspace. Choose an origin that is near, cut it in parts, or build it "
+            "without a proof."
         )
     coefficients = filled_coefficients(contents)
     visible = _of_leaves(root, contents)

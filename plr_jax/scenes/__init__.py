@@ -4,7 +4,7 @@ from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
 from plr_jax.scenes._geojson import read_geojson, read_polygons
 from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
-from plr_jax.scenes._pictures import read_image, read_map_server
+from plr_jax.scenes._pictures import read_cost_map, read_image, read_map_server
 from plr_jax.scenes._published import (
     cross,
     crowd,
@@ -17,6 +17,7 @@ from plr_jax.scenes._published import (
     tangle,
     thin_maze,
 )
+from plr_jax.scenes._volumes import read_volume
 from plr_jax.scenes._workspaces import read_workspace
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "maze",
     "perturbed",
     "read_cells",
+    "read_cost_map",
     "read_dbcbs",
     "read_geojson",
     "read_image",
@@ -39,6 +41,7 @@ __all__ = [
     "read_polygons",
     "read_scen",
     "read_trajectories",
+    "read_volume",
     "read_workspace",
     "save",
     "single_door",

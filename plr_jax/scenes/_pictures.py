@@ -4,18 +4,21 @@ import errno
 import math
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int, Shaped
 
-from plr_jax._arrays import as_bool, as_number, shortened
+from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._documents import errors_named, yaml_of
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.masks import require_resolved_pixels
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.spaces import RasterCost
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -159,13 +162,14 @@ def _light_of(
     return red + green + blue, 3 * (2**8 - 1), alpha
 
 
-# Reader of the maps of ROS's ``map_server``: a YAML file beside a picture.
+# Readers of the maps of ROS's ``map_server``: a YAML file beside a picture.
 
 
 _REQUIRED = ("image", "resolution", "origin")
 _OPTIONAL = ("negate", "occupied_thresh", "free_thresh", "mode")
 _MODES = ("trinary", "scale", "raw")
 _RAW_FULL, _RAW_MOST = 255, 100  # a raw pixel is a share of occupancy in percent; unknown is what is beyond
+_FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # of occupancy grids
 
 
 def read_map_server(
@@ -205,6 +209,85 @@ def read_map_server(
     path = Path(path)
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path):
+        map_server = _MapServer.read(path)
+        least, most = map_server.free_thresh, map_server.occupied_thresh
+        free = map_server.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
+        options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
+        return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
+
+
+def read_cost_map(
+    path: str | os.PathLike[str],
+    *,
+    cost_travel_multiplier: float | int = 2.0,
+    unknown_is_free: bool = False,
+    interpolation: str = "bilinear",
+) -> RasterCost:
+    """Read a map of ROS's ``map_server`` as a cost map, in the frame of the map.
+
+    Pixels become the values of an occupancy grid as ``map_server`` makes them: in the mode ``trinary`` 0 where
+    :func:`read_map_server` finds them free, 100 where occupied, and -1 where unknown; in the mode ``scale`` what is
+    neither is from 0 to 100 as its occupancy is between the thresholds, rounded; in the mode ``raw``, which knows no
+    thresholds, they are the percents themselves. Occupied cells are blocked; of a map without other costs
+    ``read_cost_map(path).inflated(inscribed_radius)`` is what a robot's cost map is.
+
+    Args:
+        path: The ``.yaml`` file, as for :func:`read_map_server`, of a map that is not turned.
+        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`, and so is ``unknown_is_free``.
+        unknown_is_free: Whether what is unknown may be passed, as dear as the dearest cell; else it is blocked.
+        interpolation: As for :class:`RasterCost`.
+
+    Returns:
+        The cost map, in meters, of all pixels of the picture.
+
+    Raises:
+        ValueError: If the file is no such map, it is turned, its picture is damaged or too large, or all is blocked.
+        OSError: If a file cannot be read.
+
+    References:
+        https://docs.nav2.org/configuration/packages/configuring-map-server.html.
+    """
+    path = Path(path)
+    with errors_named(path):
+        map_server = _MapServer.read(path)
+        x, y, yaw = map_server.origin
+        if yaw != 0:
+            raise ValueError(
+                f"expected an origin with yaw 0, as the cells of a raster lie along the axes, got {yaw:g}: turn the "
+                "picture."
+            )
+        grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
+        require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
+        hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
+        return RasterCost.from_occupancy_grid(
+            grid,
+            ((x, y), hi),
+            cost_travel_multiplier=cost_travel_multiplier,
+            unknown_is_free=unknown_is_free,
+            interpolation=interpolation,
+        )
+
+
+def is_map_server(document: Any) -> bool:
+    """Whether what a YAML file holds is to be such a map: it has a key of one, if perhaps not all that it needs."""
+    return isinstance(document, dict) and any(key in document for key in (*_REQUIRED, *_OPTIONAL))
+
+
+@dataclass(frozen=True, eq=False)
+class _MapServer:
+    """What the YAML file of a map says."""
+
+    image: Path
+    resolution: float
+    origin: Float[np.ndarray, "3"]
+    mode: str
+    negate: bool
+    free_thresh: float
+    occupied_thresh: float
+
+    @classmethod
+    def read(cls, path: Path) -> "_MapServer":
+        """The file of a map; ``ValueError`` if it is none, an error of the system if its picture is missing."""
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -213,36 +296,41 @@ def read_map_server(
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, which is the image of {path}", str(image))
-        resolution, (x, y, yaw) = _number(entry, "resolution"), _origin(entry["origin"])
-        with errors_named(image):
-            free = _free_pixels(image, entry, unknown_is_free)
-        options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free, resolution, (x, y, yaw), row0="top", **options)
+        mode, negate = entry.get("mode", "trinary"), entry.get("negate", 0)
+        if mode not in _MODES:
+            raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
+        if negate not in (0, 1):
+            raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
+        resolution, origin = as_finite("resolution", _number(entry, "resolution"), positive=True), _origin(entry)
+        thresholds = _number(entry, "free_thresh", 0.196), _number(entry, "occupied_thresh", 0.65)
+        return cls(image, resolution, origin, mode, bool(negate), *thresholds)
 
+    def cells(
+        self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
+    ) -> Shaped[np.ndarray, "rows columns"]:
+        """What a function makes of the pixels' occupancy, NaN where it is unknown; the picture's first row first."""
+        with errors_named(self.image), opened(self.image) as picture:
+            cells = np.empty((picture.height, picture.width), dtype)
+            for rows, light, full, alpha in bands(picture):
+                occupancy = (light if self.negate else full - light) / full
+                if self.mode == "raw":
+                    percent = np.rint(_RAW_FULL * light / full)
+                    occupancy = np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
+                if self.mode == "scale" and alpha is not None:
+                    occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
+                cells[rows] = value_of(occupancy)
+        return cells
 
-def is_map_server(document: Any) -> bool:
-    """Whether what a YAML file holds is to be such a map: it has a key of one, if perhaps not all that it needs."""
-    return isinstance(document, dict) and any(key in document for key in (*_REQUIRED, *_OPTIONAL))
-
-
-def _free_pixels(image: Path, entry: dict[str, Any], unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
-    mode, negate = entry.get("mode", "trinary"), entry.get("negate", 0)
-    if mode not in _MODES:
-        raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
-    if negate not in (0, 1):
-        raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
-    least, most = _number(entry, "free_thresh", 0.196), _number(entry, "occupied_thresh", 0.65)
-    with opened(image) as picture:
-        free = np.empty((picture.height, picture.width), bool)
-        for rows, light, full, alpha in bands(picture):
-            occupancy = (light if negate else full - light) / full
-            if mode == "raw":
-                percent = np.rint(_RAW_FULL * light / full)
-                occupancy = np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
-            if mode == "scale" and alpha is not None:
-                occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
-            free[rows] = ~(occupancy > most) if unknown_is_free else occupancy < least
-    return free
+    def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
+        """Values of cells of ROS's ``OccupancyGrid``, from 0 to 100, and -1 where they are unknown."""
+        between = np.full(occupancy.shape, _UNKNOWN, np.float64)
+        if self.mode == "raw":
+            return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
+        least, most = self.free_thresh, self.occupied_thresh
+        if self.mode == "scale" and least < most:
+            share = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
+            between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * share))
+        return np.where(occupancy > most, _OCCUPIED, np.where(occupancy < least, _FREE, between))
 
 
 def _number(entry: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -252,7 +340,8 @@ def _number(entry: dict[str, Any], key: str, default: float | None = None) -> fl
     return float(value)
 
 
-def _origin(value: Any) -> Float[np.ndarray, "3"]:
+def _origin(entry: dict[str, Any]) -> Float[np.ndarray, "3"]:
+    value = entry["origin"]
     if not isinstance(value, list) or len(value) not in (2, 3):
         raise ValueError(f"origin must be [x, y, yaw], got {shortened(value)}.")
     return np.array([_number({"origin": each}, "origin") for each in [*value, 0.0][:3]])

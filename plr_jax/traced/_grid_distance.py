@@ -136,14 +136,15 @@ def grid_distance(
             cells beside them are free.
         max_corners: For how many corners of blocked cells, at which any-angle paths can bend, there are places: by
             default for all if the grid is at most 17 x 17, else half as many as there are corners of cells. Time and
-            memory grow with its square. Where a map has more, answers are NaN and ``is_complete`` is false.
+            memory grow with its square. Where a map has more, answers are NaN and ``is_complete`` is false. Not for
+            4 or 8 moves.
 
     Returns:
         The distance, a function of points, or of pairs of points.
 
     Raises:
         ValueError: If ``free`` is no boolean array of rank 2 with cells, ``goal`` no point, ``moves`` none of the
-            above, or the grid too large. Also while it is traced.
+            above, ``max_corners`` below 1 or for other moves, or the grid too large. Also while it is traced.
     """
     mask = _as_mask(free)
     h, w = mask.shape
@@ -151,6 +152,10 @@ def grid_distance(
         raise ValueError(f'moves must be "any-angle", 4 or 8, got {shortened(moves)}.')
     if max_corners is not None:
         require_integer("max_corners", max_corners, 1)
+        if moves != "any-angle":
+            raise ValueError(
+                f"max_corners is for any-angle paths, got {max_corners} for moves={moves}: leave it out."
+            )
     point = None if goal is None else _as_points("goal", goal)
     if point is not None and point.ndim != 1:
         raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for several.")

@@ -138,7 +138,7 @@ def from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Length
 
     def relaxed(state):
         old, _ = state
-        new = jnp.minimum(old, least(lengths + old[None]))
+        new = jnp.minimum(old, jnp.min(lengths + old[None], axis=-1))
         return new, jnp.any(new < old)
 
     return lax.while_loop(lambda state: state[1], relaxed, (seen, jnp.array(True)))[0]
@@ -159,11 +159,6 @@ def between_all(lengths: Float[Array, "corners corners"]) -> Float[Array, "corne
     """Distances between all corners (Floyd and Warshall)."""
     own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
     return lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
-
-
-def least(values: Float[Array, "*batch corners"]) -> Float[Array, "*batch"]:
-    """The minimum over the last axis."""
-    return jnp.min(values, axis=-1)
 
 
 @jax.tree_util.register_dataclass
@@ -211,7 +206,7 @@ class CornerPaths:
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
         through = jnp.isfinite(self.distances)[None] & seen
         by_corners = _length(through, x[:, None], self.corners.points(x.dtype)[None], self.distances[None])
-        value = jnp.minimum(_length(sees_goal, x, goal), least(by_corners))
+        value = jnp.minimum(_length(sees_goal, x, goal), jnp.min(by_corners, axis=-1))
         return jnp.where(is_free, value, jnp.inf)
 
 
@@ -245,7 +240,8 @@ class CornerPairs:
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))
         from_x = _length(self.corners.seen_from(x_ends), x[:, None], points)
         from_y = _length(self.corners.seen_from(y_ends), y[:, None], points)
-        by_corners = least(from_x + least(self.between[None] + from_y[:, None]))
+        onward = jnp.min(self.between[None] + from_y[:, None], axis=-1)
+        by_corners = jnp.min(from_x + onward, axis=-1)
         value = jnp.minimum(_length(self.corners.see_each_other(x_ends, y_ends), x, y), by_corners)
         return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int32, UInt32
 from plr_jax.traced.bits import WORD, Mask, Words, beside, marked, packed, unpacked
 from plr_jax.traced.sight import free_cells
 
-Cells = Float[Array, "h w"]
+Distances = Float[Array, "h w"]
 Grids = UInt32[Array, "h words *grids"]
 
 
@@ -39,7 +39,7 @@ class Steps:
         """True: there are places for all cells."""
         return jnp.array(True)
 
-    def cells(self) -> Cells:
+    def cells(self) -> Distances:
         """That of each cell."""
         return self.table
 
@@ -81,7 +81,7 @@ class StepPairs:
         return jnp.where(x_is_free & y_is_free, jnp.min(jnp.stack(steps), axis=0), jnp.inf)
 
 
-def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Cells:
+def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
     """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
     start = start & packed(free)
     return _four(free, start) if moves == 4 else _eight(free, unpacked(start, free.shape[1]) == 1)
@@ -92,7 +92,7 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Cells:
 # Where levels are mapped over grids, grids are the last axis: the other way round a third as many a second.
 
 
-def _four(free: Mask, start: Words) -> Cells:
+def _four(free: Mask, start: Words) -> Distances:
     w = free.shape[1]
     reached, digits = _search(packed(free), start)
     level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
@@ -144,7 +144,7 @@ MOST_CELLS = _FAR // _DIAGONAL
 """Up to so many cells the length of any path fits: it has fewer steps than there are cells."""
 
 
-def _eight(free: Mask, start: Mask) -> Cells:
+def _eight(free: Mask, start: Mask) -> Distances:
     h, w = free.shape
 
     def at(padded, down: int, right: int):

@@ -152,6 +152,7 @@ def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compi
     x[-3:], y[:2] = [(2, 0.5), (0.5, np.nan), (0.3, 0.3)], [(0.5, 1.5), (np.nan, 0.5)]
     goals, every = maze.prepared(y), np.asarray(maze(x[:, None], y))
     near = partial(np.testing.assert_allclose, atol=1e-6)
+    near(maze(x[2:-3], jax.tree.map(lambda each: each[2:-3], goals)), exact(MAZE, x[2:-3], y[2:-3]))
     near(maze(x[:, None], goals), every)
     near(maze(x, goals), np.diag(every))
     near(maze(x.reshape(6, 10, 2), maze.prepared(y[7])), every[:, 7].reshape(6, 10))
@@ -167,6 +168,10 @@ def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compi
         np.testing.assert_allclose(maze(x[2:-3], goals), maze(x[2:-3], y[2:-3]), atol=1e-6)
     with pytest.raises(ValueError, match=r"goals must be points of shape \(..., 2\), got \(3,\)"):
         maze.prepared(np.zeros(3))
+    assert maze(np.zeros((0, 2)), maze.prepared(np.zeros((0, 2)))).shape == (0,)
+    other = plr_jax.construct_pairs(Workspace(((0, 0), (1, 1))), max_bytes=200)
+    with pytest.raises(ValueError, match="prepared by these pairs"):
+        maze(x, other.prepared(np.full(2, 0.5)))
 
 
 @pytest.mark.parametrize("goal", [scenes.maze().goals[0], MAZE.sample_free(1, seed=1)[0]])
@@ -199,6 +204,11 @@ def test_goals_outside_and_points_that_are_none_are_refused(maze):
         maze(np.zeros((4, 3)), np.zeros(2))
     with pytest.raises(ValueError, match="real"):
         maze(np.zeros((4, 2), complex), np.zeros(2))
+    for ask in (maze, jax.jit(maze.__call__), maze.bounds):
+        with pytest.raises(ValueError, match=r"x and y must broadcast, got shapes \(3, 2\) and \(4, 2\)"):
+            ask(np.ones((3, 2)), np.ones((4, 2)))
+    with pytest.raises(ValueError, match=r"x and goals must broadcast, got shapes \(3, 2\) and \(4, 2\)"):
+        maze(np.ones((3, 2)), maze.prepared(np.ones((4, 2))))
 
 
 def test_properties(maze):

@@ -77,7 +77,8 @@ def test_long_lists_are_searched_to_their_ends():
     pairs = construct_pairs(workspace, max_bytes=4200)
     assert np.bincount(pairs.stored.leaf).max() > 64
     x, y = two_batches(workspace, 800)
-    np.testing.assert_allclose(pairs(x, y), exact(workspace, x, y), atol=1e-5)
+    for ends in (y, pairs.prepared(y)):
+        np.testing.assert_allclose(pairs(x, ends), exact(workspace, x, y), atol=1e-5)
 
 
 def test_the_published_lengths_of_the_arena(data_dir):

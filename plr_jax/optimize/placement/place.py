@@ -25,7 +25,7 @@ from plr_jax.optimize.trajectory.optimize_paths import OptimizationInterrupted
 _TRIED = 3
 
 
-def location_problem(
+def _location_problem(
     distance: Callable[[Any, Any], Any],
     workspace: Workspace,
     demand: ArrayLike,
@@ -42,7 +42,7 @@ def location_problem(
     return LocationProblem(workspace, _pair_distance(distance), of_all, points, _positive(weights, len(points)))
 
 
-def check_counts(k: int, num_sites: int, of_sites: str, num_restarts: int, num_iterations: int, seed: int) -> None:
+def _check_counts(k: int, num_sites: int, of_sites: str, num_restarts: int, num_iterations: int, seed: int) -> None:
     """Raise ``ValueError`` for a number out of its range."""
     for name, value, least in (
         ("k", k, 1),
@@ -203,10 +203,10 @@ def place(
         generalized vertex median of a weighted graph", Operations Research 16, 1968; Kingma and Ba, "Adam", ICLR
         2015. Torczon, "On the convergence of pattern search algorithms", SIAM J. Optim. 7, 1997, for the last search.
     """
-    problem = location_problem(distance, workspace, demand, objective, weights)
+    problem = _location_problem(distance, workspace, demand, objective, weights)
     sites = None if candidates is None else _free_points("candidates", workspace, candidates)
     of_sites = (problem.points, "demand points") if sites is None else (sites, "candidates")
-    check_counts(k, len(of_sites[0]), of_sites[1], num_restarts, num_iterations, seed)
+    _check_counts(k, len(of_sites[0]), of_sites[1], num_restarts, num_iterations, seed)
     incumbents = _Incumbents(problem, starts(problem, sites, k, num_restarts, np.random.default_rng(seed)))
     start_costs = incumbents.costs.copy()
     unit = float(start_costs.min() / problem.objective.over(problem.weights))
@@ -217,20 +217,21 @@ def place(
     except KeyboardInterrupt:
         message = "Interrupted: the placement is the best found so far."
         warnings.warn(message, OptimizationInterrupted, stacklevel=2)
-    best = int(incumbents.costs.argmin())
-    distances = problem.distances(incumbents.x[best])
+    facilities = incumbents.x[incumbents.costs.argmin()]
+    distances = problem.distances(facilities)
+    nearest = distances.min(axis=0)
     return Placement(
-        facilities=incumbents.x[best],
-        cost=float(incumbents.costs[best]),
+        facilities=facilities,
+        cost=float(problem.cost(nearest)),
         assignment=distances.argmin(axis=0),
-        distances=distances.min(axis=0),
+        distances=nearest,
         start_costs=start_costs,
         costs=incumbents.costs,
     )
 
 
 class _Incumbents:
-    """The best placement found from each start, and what it costs."""
+    """The best placement found from each start, and what descent made of its cost."""
 
     def __init__(self, problem: LocationProblem, x: Float[np.ndarray, "restarts k 2"]):
         self.x, self.costs = x, problem.cost(problem.distances(x).min(axis=1))
@@ -238,8 +239,8 @@ class _Incumbents:
     def offer(self, x: Float[np.ndarray, "restarts k 2"], costs: Float[np.ndarray, "restarts"]) -> None:
         """Keep what is cheaper."""
         cheaper = costs < self.costs
-        self.x = np.where(cheaper[:, None, None], x, self.x)
-        self.costs = np.where(cheaper, costs, self.costs)
+        x = np.where(cheaper[:, None, None], x, self.x)
+        self.x, self.costs = x, np.where(cheaper, costs, self.costs)
 
 
 def _descend(problem: LocationProblem, incumbents: _Incumbents, unit: float, num_iterations: int) -> None:
@@ -251,18 +252,24 @@ def _descend(problem: LocationProblem, incumbents: _Incumbents, unit: float, num
     state = adam.init(jnp.asarray(x))
     temperatures = unit * np.geomspace(*_TEMPERATURES, num_iterations)
     near, restart = problem.near(x), np.arange(len(x))[:, None, None]
-    for temperature in tqdm(temperatures, desc="place", unit=" steps", delay=2, leave=False, disable=None):
+
+    def offered(x: Float[np.ndarray, "restarts k 2"]) -> tuple[np.ndarray, np.ndarray]:
         distances, slopes = pair_slopes(problem.distance, x[restart, near], problem.points[:, None])
         incumbents.offer(x, problem.cost(distances.min(axis=2)))
+        return distances, slopes
+
+    for temperature in tqdm(temperatures, desc="place", unit=" steps", delay=2, leave=False, disable=None):
+        distances, slopes = offered(x)
         of_near = (jnp.asarray(each) for each in (distances, slopes, near))
         pulls = soft_pulls(problem.objective, weights, *of_near, x.shape[1], jnp.asarray(temperature))
         steps, state = adam.update(pulls, state)
         steps = np.asarray(steps, np.float64)
         x = moved(problem.workspace, x.reshape(-1, 2), steps.reshape(-1, 2)).reshape(x.shape)
+    offered(x)
 
 
 def _settle(problem: LocationProblem, incumbents: _Incumbents, unit: float) -> None:
-    """Search around the facilities of the cheapest placement."""
+    """Search around the facilities of the cheapest placement, which move there; costs stay those of descent."""
     first, last = (share * unit for share in _RADII)
     best = int(incumbents.costs.argmin())
     radius = np.full(incumbents.x.shape[1], first)
@@ -274,4 +281,3 @@ def _settle(problem: LocationProblem, incumbents: _Incumbents, unit: float) -> N
         incumbents.x[best] = x
         if radius.max() < last:
             break
-    incumbents.costs[best] = problem.cost(problem.distances(incumbents.x[best]).min(axis=0))

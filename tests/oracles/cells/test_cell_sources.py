@@ -9,6 +9,7 @@ from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
 from plr_jax import Box, VisibilityGraph, Workspace
+from plr_jax.geometry.convex_pieces import areas
 
 SEEDS = st.integers(0, 100_000)
 # The workspaces go from 0 to 10 along both axes.
@@ -136,6 +137,13 @@ def test_cells_that_are_free_altogether_are_one_piece():
     cells, lo, hi = halved(root, DOMAINS[0], np.random.default_rng(4), 1)
     free = shapely.area(shapely.intersection(MIDDLE.obstacles[0], shapely.box(*lo.T, *hi.T))) == 0
     assert free.sum() > 4 and (np.bincount(cells.cell, minlength=len(lo))[free] == 1).all()
+
+
+def test_outlines_whose_slanted_edges_end_on_the_bounds_are_whole():
+    """What ``shapely.clip_by_rect`` makes of them is larger than they are."""
+    workspace = Workspace.from_mask(np.array([[1, 1, 1, 1], [0, 1, 0, 0], [1, 1, 1, 1]], bool))
+    found = VisibilityGraph(workspace, (0.5, 0.5)).cell_sources(workspace.bounds)
+    assert areas(found.pieces).sum() == pytest.approx(workspace.free_space.area)
 
 
 def test_nothing_is_said_of_what_does_not_reach_the_goal():

@@ -1,0 +1,146 @@
+"""Whether a ball keeps off blocked voxels: at points, anywhere in boxes, and on straight motions.
+
+As in :class:`VoxelGrid`, arrays have an axis of space first.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import parts, runs
+from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid
+
+_MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # which bounds the memory
+_SHORT = 0.5  # of a voxel's sides, a piece of a motion beside which voxels are looked at one by one
+
+Booleans = Bool[np.ndarray, "n"]
+Which = Int[np.ndarray, "m"]
+
+
+def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
+    """Whether a blocked voxel is nearer than a radius to boxes, exact but for rounding.
+
+    With ``lo`` and ``hi`` exchanged: whether all of a box is nearer than that to one blocked voxel.
+    """
+    (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
+    within = grid.num_blocked(far_first, far_last) > 0
+    doubtful = within.copy()
+    for axis in range(grid.dim):  # straight ahead along the axis
+        ahead = (np.arange(grid.dim) == axis)[:, None]
+        doubtful &= grid.num_blocked(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
+    doubtful = np.flatnonzero(doubtful)
+    within[doubtful] = False
+    for box, begin, end in _rows_within(grid, lo[:, doubtful], hi[:, doubtful], radius):
+        within[doubtful[box[grid.num_blocked(begin, end) > 0]]] = True
+    return within
+
+
+def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Numbers, Numbers]:
+    """The first and the last voxel along every axis that closed boxes touch."""
+    return grid.numbers(lo)[0], grid.numbers(hi)[1]
+
+
+def _rows_within(
+    grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
+) -> Iterator[tuple[Which, Numbers, Numbers]]:
+    """Rows of voxels along the last axis, as far as they are nearer than a radius to boxes: box, first and last."""
+    first, last = _touching(grid, lo - radius, hi + radius)
+    num = np.maximum(last - first + 1, 0)[:-1]
+    for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
+        box, place = runs(num[:, some].prod(axis=0))
+        box += some.start
+        row = np.empty((grid.dim, len(box)), np.int64)
+        square = np.full(len(box), radius**2)
+        for axis in range(grid.dim - 1):
+            place, beyond = np.divmod(place, num[axis, box])
+            row[axis] = first[axis, box] + beyond
+            square -= _gaps(grid, axis, row[axis], lo[axis, box], hi[axis, box]) ** 2
+        near = square > 0
+        box, row, reach = box[near], row[:, near], np.sqrt(square[near])
+        begin, end = row, row.copy()
+        begin[-1], _ = grid.numbers_along(grid.dim - 1, lo[-1, box] - reach)
+        _, end[-1] = grid.numbers_along(grid.dim - 1, hi[-1, box] + reach)
+        yield box, begin, end
+
+
+def _gaps(
+    grid: VoxelGrid, axis: int, number: Which, lo: Float[np.ndarray, "m"], hi: Float[np.ndarray, "m"]
+) -> Float[np.ndarray, "m"]:
+    """How far apart voxels and intervals are along an axis."""
+    faces = grid.faces[axis]
+    return np.maximum(np.maximum(faces[number] - hi, lo - faces[number + 1]), 0.0)
+
+
+def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+    """Whether a ball keeps off blocked voxels on straight motions, exact but for rounding."""
+    passes = np.zeros(q0.shape[1], bool)
+    for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
+        some = slice(begin, begin + _MOTIONS_AT_ONCE)
+        passes[some] = _keeps_off(grid, q0[:, some], q1[:, some], radius)
+    return passes
+
+
+def _keeps_off(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+    """By halves: pieces whose boxes are near something, until they are short or their middle is too near."""
+    keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
+    motion, share = np.flatnonzero(keeps_off), 1.0
+    begin = np.zeros(len(motion))
+    while len(motion):
+        change = q1[:, motion] - q0[:, motion]
+        a, b = q0[:, motion] + begin * change, q0[:, motion] + (begin + share) * change
+        near = blocked_within(grid, np.minimum(a, b), np.maximum(a, b), radius)
+        motion, begin, a, b = motion[near], begin[near], a[:, near], b[:, near]
+        middle = (a + b) / 2
+        keeps_off[motion[blocked_within(grid, middle, middle, radius)]] = False
+
+        short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & keeps_off[motion]
+        of, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
+        for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
+            meets = squared_distances(grid, q0[:, of[piece]], q1[:, of[piece]], voxel) < radius**2
+            keeps_off[of[piece[meets]]] = False
+
+        halved = keeps_off[motion] & ~short
+        motion, begin, share = motion[halved], begin[halved], share / 2
+        motion, begin = np.append(motion, motion), np.append(begin, begin + share)
+    return keeps_off
+
+
+def _blocked_voxels_within(
+    grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
+) -> Iterator[tuple[Which, Numbers]]:
+    """Blocked voxels nearer than a radius to boxes, some at a time: box and voxel."""
+    for box, begin, end in _rows_within(grid, lo, hi, radius):
+        some = np.flatnonzero(grid.num_blocked(begin, end))
+        row, place = runs(end[-1, some] - begin[-1, some] + 1)
+        voxel = begin[:, some[row]]
+        voxel[-1] += place
+        blocked = ~grid.padded[tuple(voxel)]
+        yield box[some[row[blocked]]], voxel[:, blocked]
+
+
+def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
+    """Squared distances of straight motions to voxels.
+
+    Along a motion the square is convex, and a parabola between the times at which it is level with a face.
+    """
+    lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
+    hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
+    change = q1 - q0
+
+    def excess(time: Float[np.ndarray, "n"]) -> Coordinates:
+        x = q0 + time * change
+        return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
+
+    moves = change != 0
+    level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
+    times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
+    slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
+    # Between the last time at which the square falls and the next one the slope is linear, and 0 at the least.
+    after = np.count_nonzero(slopes < 0, axis=0)
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
+    (t0, t1), (s0, s1) = (
+        [np.take_along_axis(of, at[None], axis=0)[0] for at in (before, after)] for of in (times, slopes)
+    )
+    share = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
+    return np.sum(excess(t0 + np.clip(share, 0, 1) * (t1 - t0)) ** 2, axis=0)

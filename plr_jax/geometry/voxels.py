@@ -1,0 +1,229 @@
+"""Voxels of a box, in any dimension: where their faces are, which hold a point, how many of a range are blocked.
+
+Faces are the floats that ``numpy.linspace`` puts between the bounds: coordinates, floats as well, are compared with
+them without rounding, and what is said of touching is exact.
+
+Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``: number 0 is what lies below the bounds,
+and the last what lies above, all of it blocked. Arrays of numbers and coordinates have an axis of space first.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_of
+
+_MOST_AXES = 4
+_LEAST_SIDE = 8e3  # roundings of coordinates, as of pixels
+
+Coordinates = Float[np.ndarray, "dim n"]
+Numbers = Int[np.ndarray, "dim n"]
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelGrid:
+    """Voxels that fill a box.
+
+    Attributes:
+        free: Which are free; read-only.
+        bounds: The box.
+    """
+
+    free: Bool[np.ndarray, "..."]
+    bounds: Box
+
+    @classmethod
+    def of(
+        cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = range(1, _MOST_AXES + 1)
+    ) -> "VoxelGrid":
+        """The voxels that arguments from outside mean; ``ValueError`` if they mean none.
+
+        Args:
+            free: Which voxels are free, booleans of as many axes as are allowed.
+            bounds: What they fill, or its corners; None: each has the sides 1, the first one its corner at 0.
+            axes: How many axes are allowed.
+        """
+        voxels = np.array(free)
+        if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
+            number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
+            masked = ", some masked" if np.ma.is_masked(free) else ""
+            raise ValueError(
+                f"free must be booleans of {number} axes, True where a voxel is free, such as volume == 0, got "
+                f"{voxels.dtype} of shape {voxels.shape}{masked}."
+            )
+        if not voxels.any():
+            raise ValueError(f"free must have at least one free voxel, got none in shape {voxels.shape}.")
+        voxels.flags.writeable = False
+        shape = np.array(voxels.shape)
+        box = Box(np.zeros(len(shape)), shape) if bounds is None else Box.of(bounds, "The bounds")
+        if box.dim != voxels.ndim:
+            raise ValueError(f"The bounds must have {voxels.ndim} axes, as free has, got {shortened(bounds)}.")
+        if box.is_periodic:
+            raise ValueError(f"Voxels fill bounds without periodic axes, got {box}.")
+        least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
+        if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
+            raise ValueError(
+                f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
+                f"got {voxels.shape} of them in {box}: choose another unit, or bounds nearer to zero."
+            )
+        return cls(voxels, box)
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.free.ndim
+
+    @property
+    def sides(self) -> Float[np.ndarray, "dim"]:
+        """Lengths of a voxel's sides, in units of the bounds."""
+        return self.bounds.width / self.free.shape
+
+    @cached_property
+    def faces(self) -> list[Float[np.ndarray, "faces"]]:
+        """Where faces are along each axis, increasing; the first at minus infinity, the last at infinity."""
+        ends = zip(self.bounds.lo, self.bounds.hi, self.free.shape, strict=True)
+        return [np.concatenate([[-np.inf], np.linspace(lo, hi, num + 1), [np.inf]]) for lo, hi, num in ends]
+
+    @cached_property
+    def padded(self) -> Bool[np.ndarray, "..."]:
+        """Which voxels are free, by their numbers."""
+        return np.pad(self.free, 1)
+
+    def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
+        """The voxels that hold points, along every axis the lower and the upper one: two for a point on a face."""
+        below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
+        return np.stack(below), np.stack(above)
+
+    def numbers_along(
+        self, axis: int, x: Float[np.ndarray, "n"]
+    ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+        """The same along one axis."""
+        faces = self.faces[axis]
+        guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
+        guess -= x < faces[guess]
+        above = guess + (x >= faces[guess + 1])
+        return above - (x == faces[above]), above
+
+    @cached_property
+    def _blocked(self) -> "Sums":
+        return Sums.of(~self.padded)
+
+    def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
+        """How many voxels from the first to the last along every axis, which may be before it, are blocked."""
+        return self._blocked.within(first, last)
+
+    def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
+        """The least ranges that hold all free voxels of ranges; nothing, the last before the first, if there is none.
+
+        Along every axis by bisection: from how many layers on there are free ones?
+        """
+        first, last = first.copy(), last.copy()
+        for axis in range(self.dim):
+            for moved, inward in ((first, 1), (last, -1)):
+                # Of the layers from an end on ``none`` hold no free voxel, and all but ``most`` may hold one.
+                none, most = np.zeros_like(first[axis]), np.maximum(last[axis] - first[axis] + 1, 0)
+                while len(rows := np.flatnonzero(none < most)):
+                    num = (none[rows] + most[rows] + 1) // 2
+                    begin, end = first[:, rows], last[:, rows]
+                    (end if inward > 0 else begin)[axis] = moved[axis, rows] + inward * (num - 1)
+                    num_voxels = np.prod(np.maximum(end - begin + 1, 0), axis=0)
+                    is_blocked = self.num_blocked(begin, end) == num_voxels
+                    none[rows], most[rows] = (
+                        np.where(is_blocked, num, none[rows]),
+                        np.where(is_blocked, most[rows], num - 1),
+                    )
+                moved[axis] += inward * none
+        return first, last
+
+    def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
+        """Whether closed boxes touch edges or corners in which blocked voxels touch, so that no path passes there.
+
+        Around a point in such an edge there are free voxels of which no way leads to one another through faces.
+        """
+        (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
+        touches = np.zeros(lo.shape[1], bool)
+        for across, contacts in self._contacts:
+            is_across = np.isin(np.arange(self.dim), across)[:, None]
+            # Of faces those from ``lo`` to ``hi``, counted from that above what is below; else open voxels.
+            first, last = np.where(is_across, below_lo, above_lo), np.where(is_across, above_hi - 1, below_hi)
+            touches |= contacts.within(first, last) > 0
+        return touches
+
+    @cached_property
+    def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
+        """Corners, edges and so on in which voxels touch, by the axes across which they do."""
+        found = []
+        for num_across in range(2, self.dim + 1):
+            is_parted = _is_parted(num_across)
+            for across in combinations(range(self.dim), num_across):
+                around = np.zeros([n - (axis in across) for axis, n in enumerate(self.padded.shape)], np.uint16)
+                for bit, side in enumerate(product((0, 1), repeat=num_across)):
+                    of = dict(zip(across, side, strict=True))
+                    part = tuple(
+                        slice(of[a], n - 1 + of[a]) if a in of else slice(None)
+                        for a, n in enumerate(self.padded.shape)
+                    )
+                    around |= self.padded[part].astype(np.uint16) << np.uint16(bit)
+                touches = is_parted[around]
+                if touches.any():
+                    found.append((across, Sums.of(touches)))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """How many entries of an array of booleans are true in any range of it, by a summed-area table.
+
+    References:
+        F. Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
+    """
+
+    table: Int[np.ndarray, "..."]
+    strides: Int[np.ndarray, "dim"]
+
+    @classmethod
+    def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
+        """The table of an array."""
+        table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
+        for axis in range(array.ndim):
+            np.cumsum(table, axis=axis, out=table)
+        return cls(table.ravel(), np.array(table.strides) // table.itemsize)
+
+    def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
+        """How many are true from the first to the last along every axis; none where that is before the first."""
+        begin = first * self.strides[:, None]
+        end = np.maximum(last + 1, first) * self.strides[:, None]
+        total = np.zeros(first.shape[1], self.table.dtype)
+        for corner in product((0, 1), repeat=len(first)):
+            at = sum(end[axis] if bit else begin[axis] for axis, bit in enumerate(corner))
+            sign = 1 - 2 * ((len(first) - sum(corner)) % 2)
+            total += sign * self.table[at]
+        return total
+
+
+def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
+    """Of the voxels around points, in the order of ``itertools.product``, those that some lead to through faces."""
+    flat = live.shape
+    shape = (-1, *[2] * (flat[1].bit_length() - 1))
+    live, free = live.reshape(shape).copy(), free.reshape(shape)
+    before = -1
+    while (count := np.count_nonzero(live)) != before:
+        before = count
+        for axis in range(1, live.ndim):
+            live |= np.flip(live, axis) & free
+    return live.reshape(flat)
+
+
+def _is_parted(num_axes: int) -> Bool[np.ndarray, "sets"]:
+    """Which sets of the voxels around a point, by the bits of numbers, hold some without a way to one another."""
+    num = 2**num_axes
+    free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
+    one = np.zeros_like(free)
+    one[np.arange(len(free)), free.argmax(axis=1)] = True
+    return (free & ~spread(one & free, free)).any(axis=1)

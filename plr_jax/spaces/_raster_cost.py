@@ -1,0 +1,347 @@
+"""Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it."""
+
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import as_numbers, as_points, shortened, with_inf_for_masked
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.spaces._costmap_2d import costmap_factors, grid_costs, inflated_factors, with_nearest_factors
+from plr_jax.spaces._costs import Rates, Vectors
+from plr_jax.spaces._space import ConfigurationSpace, as_boxes
+from plr_jax.spaces._sparse_table import SparseTable
+
+_MOST_AXES = 4
+_LEAST_FACTOR, _LARGEST_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
+_INTERPOLATIONS = ("bilinear", "nearest")
+_AT_ONCE = 8192  # points, of which all that is computed stays in the cache
+_MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes themselves
+# What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
+# times what the few operations of each amount to. All of an interpolation's terms are positive.
+_OF_PLACES, _OF_FACTORS = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class RasterCost:
+    """A cost map whose factors are given at the cells of a raster, of one to four axes.
+
+    The raster's **last** axis runs along the first coordinate, and its first axis along the last one, as
+    :class:`GridField` has it: ``values[row, column]`` is at ``(x, y)`` with ``x`` in that column and ``y`` in that
+    row, row 0 at the lowest ``y``. Give ``values[::-1]`` of a picture, whose row 0 is at the top, and ``values.T`` of
+    a table ``[x, y, ...]``.
+
+    What is blocked is for the space to keep out, such as the one of :meth:`space`: there the factor is that of the
+    nearest cell of the array which is not, so that between a blocked cell and its neighbors it stays finite. Outside
+    the bounds it is that of the nearest place within, but around periodic axes, along which the last cells are
+    neighbors of the first. Of configurations of more coordinates than the raster has axes the leading ones count:
+    headings cost as positions do.
+
+    Args:
+        values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where it is blocked.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
+        interpolation: ``"bilinear"``, multilinear between the centers of cells and constant in the outer halves of
+            those at the bounds; or ``"nearest"``, constant in each cell, and at the border of two the upper one's.
+            Bounds of the nearest one are wider, as over every box that touches a border both cells count.
+
+    Attributes:
+        values: As given, ``inf`` where blocked; read-only.
+        domain: The box of the bounds.
+        interpolation: The same.
+
+    Raises:
+        ValueError: If the values are no such numbers, all are blocked, the bounds are no box of as many dimensions,
+            or the interpolation is another.
+    """
+
+    values: Float[np.ndarray, "..."]
+    domain: Box
+    interpolation: str
+
+    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
+        domain = Box.of(bounds, "The bounds")
+        if interpolation not in _INTERPOLATIONS:
+            raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
+        expected = f"factors on a raster of {domain.dim} axes"
+        factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
+        if factors.ndim != domain.dim or factors.ndim > _MOST_AXES or factors.size == 0:
+            raise ValueError(
+                f"values must be {expected}, as the bounds have, {_MOST_AXES} at most, and at least one, got shape "
+                f"{factors.shape}."
+            )
+        factors[np.isnan(factors)] = np.inf
+        wrong = ~((factors >= _LEAST_FACTOR) & (factors <= _LARGEST_FACTOR)) & (factors != np.inf)
+        if wrong.any():
+            cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
+            raise ValueError(
+                f"values must be from {_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g}, and inf where a cell is blocked, got "
+                f"{factors[cell]:g} at {cell}; of the bytes of a cost map use RasterCost.from_costmap."
+            )
+        if np.isinf(factors).all():
+            raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} that all are.")
+        factors.flags.writeable = False
+        vars(self).update(values=factors, domain=domain, interpolation=interpolation)
+
+    @classmethod
+    def from_costmap(
+        cls,
+        values: ArrayLike,
+        bounds: Box | ArrayLike,
+        *,
+        cost_travel_multiplier: float | int = 2.0,
+        unknown_is_free: bool = False,
+        interpolation: str = "bilinear",
+    ) -> "RasterCost":
+        """The cost map of a robot, as ROS's ``costmap_2d`` has it in bytes.
+
+        A cost from 0 to 252 makes the factor ``1 + cost_travel_multiplier * cost / 252``: what the planner Smac 2D
+        of Nav2 takes for a step of length 1. NavFn's is the same with a multiplier of 4.03, its ``50 + 0.8 * cost``
+        over 50. Costs 253, of cells in which the robot's inscribed circle meets an obstacle, and 254, lethal, block.
+
+        Args:
+            values: The costs, from 0 to 255, row 0 at the lowest ``y``, as messages of ROS have them.
+            bounds: As for the class.
+            cost_travel_multiplier: How much more than a free cell the dearest one costs, at least 0.
+            unknown_is_free: Whether 255, unknown, may be passed, as dear as 252, which is how NavFn takes it;
+                else it blocks.
+            interpolation: As for the class.
+
+        Returns:
+            The cost map.
+
+        Raises:
+            ValueError: If the values are not from 0 to 255, or as for the class.
+        """
+        return cls(costmap_factors(values, cost_travel_multiplier, unknown_is_free), bounds, interpolation)
+
+    @classmethod
+    def from_occupancy_grid(
+        cls,
+        values: ArrayLike,
+        bounds: Box | ArrayLike,
+        *,
+        cost_travel_multiplier: float | int = 2.0,
+        unknown_is_free: bool = False,
+        interpolation: str = "bilinear",
+    ) -> "RasterCost":
+        """The cost map of a robot, as it is published: ROS's ``OccupancyGrid``.
+
+        Args:
+            values: -1 unknown, 0 free, 1 to 98 costs from 1 to 252, 99 inscribed, 100 lethal; row 0 at the lowest
+                ``y``.
+            bounds: As for the class.
+            cost_travel_multiplier: As for :meth:`from_costmap`.
+            unknown_is_free: As for :meth:`from_costmap`.
+            interpolation: As for the class.
+
+        Returns:
+            The cost map.
+
+        Raises:
+            ValueError: If the values are not from -1 to 100, or as for the class.
+        """
+        factors = costmap_factors(grid_costs(values), cost_travel_multiplier, unknown_is_free)
+        return cls(factors, bounds, interpolation)
+
+    def inflated(
+        self,
+        inscribed_radius: float | int,
+        *,
+        inflation_radius: float | int = 0.55,
+        cost_scaling_factor: float | int = 10.0,
+        cost_travel_multiplier: float | int = 2.0,
+    ) -> "RasterCost":
+        """The cost map with higher costs around what is blocked, as the inflation layer of Nav2 makes them.
+
+        Up to ``inscribed_radius`` from the center of a blocked cell, cells are blocked: then the space of a point is
+        that of the robot. Up to ``inflation_radius`` their costs are at least
+        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``, of which factors are made as
+        :meth:`from_costmap` does; not rounded to bytes, as steps of costs would have bounds of their own.
+
+        Args:
+            inscribed_radius: Of the robot, in the units of the bounds, at least 0.
+            inflation_radius: How far costs are raised, as Nav2's parameter has it.
+            cost_scaling_factor: By what power of e they fall a unit of distance.
+            cost_travel_multiplier: As for :meth:`from_costmap`.
+
+        Returns:
+            The cost map.
+
+        Raises:
+            ValueError: If a number is negative or not finite, or nothing is left that is not blocked.
+
+        References:
+            https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
+        """
+        radii = inscribed_radius, inflation_radius
+        factors = inflated_factors(
+            self.values, self._pixel[::-1], *radii, cost_scaling_factor, cost_travel_multiplier
+        )
+        return RasterCost(factors, self.domain, self.interpolation)
+
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.values.shape))
+        return f"RasterCost({shape} cells, {self.domain}, {self.interpolation!r})"
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.domain.dim
+
+    @property
+    def free(self) -> Bool[np.ndarray, "..."]:
+        """Which cells are not blocked, in the order of the values."""
+        return np.isfinite(self.values)
+
+    def space(self, radius: float | int = 0.0) -> ConfigurationSpace:
+        """The configuration space of what is not blocked.
+
+        Args:
+            radius: Of a disc or ball that keeps off what is blocked, in the units of the bounds; 0 for a point.
+
+        Returns:
+            The space, in the bounds; the cost of a motion is its length.
+
+        Raises:
+            ValueError: If the radius is no such number, or an axis is periodic.
+        """
+        from plr_jax.spaces._voxels import VoxelSpace  # pyright: ignore[reportMissingImports]
+
+        return VoxelSpace(np.ascontiguousarray(self.free.T), self.domain, radius)
+
+    def __call__(self, q: ArrayLike) -> Rates:
+        """The factor at configurations.
+
+        Args:
+            q: Configurations, ``(n, dof)``, of at least as many coordinates as the raster has axes.
+
+        Returns:
+            The factors, ``(n,)``; NaN where one of these coordinates is not finite.
+
+        Raises:
+            ValueError: If ``q`` has another shape.
+        """
+        q = self._leading("q", q)
+        factors = np.full(len(q), np.nan)
+        known = np.flatnonzero(np.isfinite(q).all(axis=1))
+        for begin in range(0, len(known), _AT_ONCE):
+            part = known[begin : begin + _AT_ONCE]
+            places = self._places(q[part])
+            places = np.where(self.domain.periodic, places % self._sizes, self._clipped(places))
+            factors[part] = self._interpolated(places)
+        return factors
+
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
+        """Bounds of the factor over closed boxes, which may reach beyond the raster's.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``, finite.
+            hi: Upper corners, finite and nowhere below.
+
+        Returns:
+            The extremes, up to rounding, of ``"nearest"``, where all cells count that the box touches, and of
+            ``"bilinear"`` over boxes between at most four centers along each axis; over larger ones those of the
+            cells whose centers surround the box.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        """
+        lo, hi = self._leading("lo", lo), self._leading("hi", hi)
+        as_boxes(lo, hi, self.dim)
+        first, last = self._grown(lo, hi)
+        above = np.floor(last) if self.interpolation == "nearest" else np.ceil(last)
+        least, most = np.empty(len(first)), np.empty(len(first))
+        patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
+        is_large = (patches > _MOST_PATCHES) | (self.interpolation == "nearest")
+        ends = (np.floor(first[is_large]).astype(np.intp), above[is_large].astype(np.intp))
+        least[is_large], most[is_large] = self._table.extremes(*ends)
+        for count in range(1, _MOST_PATCHES + 1):
+            few = np.flatnonzero(~is_large & (patches == count))
+            step = max(1, _AT_ONCE // (count + 1) ** self.dim)
+            for begin in range(0, len(few), step):
+                part = few[begin : begin + step]
+                factors = self._at_breaks(first[part], last[part], count)
+                least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
+        return (1 - _OF_FACTORS) * least, (1 + _OF_FACTORS) * most
+
+    def _at_breaks(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
+        """Factors at the corners of what boxes of places cut out of patches between centers, up to so many an axis.
+
+        Over each such part the factor is multilinear: its extremes are there.
+        """
+        lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
+        which = np.array(list(product(range(count + 1), repeat=self.dim)))
+        places = lines[:, which, np.arange(self.dim)]
+        return self._interpolated(places.reshape(-1, self.dim)).reshape(places.shape[:2])
+
+    def _interpolated(self, places: Vectors) -> Rates:
+        """Factors at places in cells, from the center of the first one or, for the nearest one, from its border."""
+        below = np.floor(places).astype(np.intp)
+        if self.interpolation == "nearest":
+            return self._at(below)
+        beyond = places - below
+        total = np.zeros(len(places))
+        for corner in product((0, 1), repeat=self.dim):
+            weights = (beyond[:, axis] if up else 1 - beyond[:, axis] for axis, up in enumerate(corner))
+            total += reduce(np.multiply, weights) * self._at(below + corner)
+        return total
+
+    def _at(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
+        """Factors of cells, given by their numbers along each coordinate; around periodic axes, else the nearest."""
+        modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
+        return self._nodes.take(np.ravel_multi_index(tuple(cell.T), self._nodes.shape, mode=modes))
+
+    def _leading(self, name: str, value: ArrayLike) -> Vectors:
+        """The leading coordinates of configurations, as many as the raster has axes."""
+        points = as_points(name, value)
+        if points.shape[1] < self.dim:
+            raise ValueError(f"{name} must have at least {self.dim} coordinates, as {self} has, got {points.shape}.")
+        return points[:, : self.dim]
+
+    def _places(self, q: Vectors) -> Vectors:
+        """Where configurations are in cells, from the center of the first one, or for the nearest from its border."""
+        places = (q - self.domain.lo) / self.domain.width * self._sizes
+        return places if self.interpolation == "nearest" else places - 0.5
+
+    def _clipped(self, places: Vectors) -> Vectors:
+        return np.clip(places, 0, self._sizes - 1)
+
+    def _grown(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
+        """Boxes as boxes of places, larger by what rounding may have moved any place in them.
+
+        Around periodic axes they begin in the first period, and are one long at most.
+        """
+        first, last = self._places(lo), self._places(hi)
+        reach = _OF_PLACES * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        first, last = first - reach, last + reach
+        turns = np.floor(first / self._sizes) * self._sizes
+        is_whole = last - first >= self._sizes
+        around = np.where(is_whole, 0, first - turns), np.where(is_whole, self._sizes, last - turns)
+        within = self._clipped(first), self._clipped(last)
+        first, last = (np.where(self.domain.periodic, *each) for each in zip(around, within, strict=True))
+        return first, last
+
+    @property
+    def _sizes(self) -> Float[np.ndarray, "dim"]:
+        """Numbers of cells along each coordinate."""
+        return np.array(self.values.shape[::-1], np.float64)
+
+    @property
+    def _pixel(self) -> Float[np.ndarray, "dim"]:
+        return self.domain.width / self._sizes
+
+    @cached_property
+    def _nodes(self) -> Float[np.ndarray, "..."]:
+        """Factors in the order of coordinates, those of blocked cells filled."""
+        return np.ascontiguousarray(with_nearest_factors(self.values, self._pixel[::-1]).T)
+
+    @cached_property
+    def _table(self) -> SparseTable:
+        """Extremes of blocks of cells; around periodic axes, of two periods."""
+        axes = zip(self._nodes.shape, self.domain.periodic, strict=True)
+        more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
+        return SparseTable(np.pad(self._nodes, more, mode="wrap") if self.domain.is_periodic else self._nodes)

@@ -1,0 +1,233 @@
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
+
+from plr_jax import Box, GridField, PlaneSpace, RasterCost, RigidBodySpace, Workspace, solve_eikonal
+from plr_jax.robots.shapes import RectangleRobot
+from plr_jax.spaces import CostMap
+from plr_jax.spaces._sparse_table import SparseTable
+
+SHAPES = [(7,), (1,), (6, 9), (1, 5), (4, 5, 6), (3, 2, 2, 4)]
+
+
+def random_raster(shape, interpolation="bilinear", *, periodic=None, seed=0):
+    """Factors of very different sizes, a fifth of the cells blocked, in a box anywhere."""
+    rng = np.random.default_rng(seed)
+    values = np.exp(rng.normal(0, 2, shape))
+    values[(rng.random(shape) < 0.2) & (values.size > 1)] = np.inf
+    lo, width = rng.normal(0, 5, len(shape)), rng.uniform(0.5, 20, len(shape))
+    return RasterCost(values, Box(lo, lo + width, periodic), interpolation)
+
+
+def boxes_of(cost, n, seed=1):
+    """Boxes far smaller than a pixel and as large as the raster, some beyond it, a third along halves of pixels."""
+    rng, (lo, width) = np.random.default_rng(seed), (cost.domain.lo, cost.domain.width)
+    pixel = width / cost.values.shape[::-1]
+    a = lo + width * rng.uniform(-0.2, 1.1, (n, cost.dim))
+    size = width * 2.0 ** -rng.uniform(-0.5, 10, (n, 1)) * rng.uniform(0.3, 1, (n, cost.dim))
+    a[::3] = lo + pixel * np.round((a[::3] - lo) / pixel * 2) / 2
+    size[::3] = pixel * rng.integers(0, 4, size[::3].shape) / 2
+    return a, a + size
+
+
+def points_of(lo, hi, k, seed=2):
+    """Points of boxes, ``(n, k, dim)``: some corners, then any."""
+    rng = np.random.default_rng(seed)
+    share = rng.random((len(lo), k, lo.shape[1]))
+    share[:, : k // 3] = np.round(share[:, : k // 3])
+    return np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None])
+
+
+def values_at(cost, points):
+    return cost(points.reshape(-1, points.shape[2])).reshape(points.shape[:2])
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize("around", [False, True])
+def test_bounds_hold_all_points_of_boxes(shape, interpolation, around):
+    cost = random_raster(shape, interpolation, periodic=[around] + [False] * (len(shape) - 1))
+    assert isinstance(cost, CostMap)
+    lo, hi = boxes_of(cost, 300)
+    lower, upper = cost.bounds(lo, hi)
+    values = values_at(cost, points_of(lo, hi, 60))
+    assert (lower[:, None] <= values).all() and (values <= upper[:, None]).all()
+    assert (lower > 0).all() and np.isfinite(upper).all()
+
+
+@pytest.mark.parametrize("shape", [(40,), (30, 25), (9, 8, 7)], ids=str)
+def test_bounds_are_the_extremes_of_small_boxes_and_of_the_cells_around_large_ones(shape):
+    cost = random_raster(shape)
+    pixel = cost.domain.width / shape[::-1]
+    lo, hi = boxes_of(cost, 400)
+    lower, upper = cost.bounds(lo, hi)
+    # Where the interpolation may have its extremes: on all lines through centers, and on the box's sides.
+    for i in range(len(lo)):
+        centers = (cost.domain.lo[a] + pixel[a] * (np.arange(shape[::-1][a]) + 0.5) for a in range(cost.dim))
+        lines = [
+            np.unique(np.clip([lo[i, a], *each, hi[i, a]], lo[i, a], hi[i, a])) for a, each in enumerate(centers)
+        ]
+        values = cost(np.array(list(product(*lines))))
+        if (hi[i] - lo[i] <= 2 * pixel).all():
+            np.testing.assert_allclose([lower[i], upper[i]], [values.min(), values.max()], rtol=1e-9)
+    grown = cost.bounds(lo - pixel, hi + pixel)  # whose extremes are no less
+    assert (grown[0] <= lower).all() and (upper <= grown[1]).all()
+    whole = cost.bounds(cost.domain.lo[None] - 1, cost.domain.hi[None] + 1)
+    np.testing.assert_allclose(np.ravel(whole), [cost.values.min(), cost.values[cost.free].max()], rtol=1e-6)
+
+
+def test_of_the_nearest_cell_all_count_that_a_box_touches():
+    cost = RasterCost([[1.0, 2, 4], [8, 16, 32]], ((0, 0), (3, 2)), "nearest")
+    np.testing.assert_array_equal(cost([(0.2, 0.9), (1, 0.5), (1, 1), (3, 2), (-7, 9)]), [1, 2, 16, 32, 8])
+    lo, hi = np.array([(0.2, 0.2), (0.2, 0.2), (1.2, 1.0)]), np.array([(0.8, 0.8), (1, 0.8), (1.8, 1.2)])
+    np.testing.assert_allclose(cost.bounds(lo, hi), [(1, 1, 2), (1, 2, 16)], rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(6,), (6, 9), (4, 5, 6), (3, 2, 2, 4)], ids=str)
+def test_interpolation_is_that_of_scipy_and_of_grid_fields(shape):
+    values = np.random.default_rng(0).uniform(1, 9, shape)
+    bounds = Box(np.arange(len(shape)), np.arange(len(shape)) + 2.5)
+    cost = RasterCost(values, bounds)
+    x = np.random.default_rng(1).uniform(bounds.lo, bounds.hi, (500, len(shape)))
+    np.testing.assert_allclose(cost(x), GridField(values, bounds)(x), rtol=1e-13)
+    pixel = bounds.width / shape[::-1]
+    centers = [lo + side * (np.arange(n) + 0.5) for lo, side, n in zip(bounds.lo, pixel, shape[::-1], strict=True)]
+    inner = np.clip(x, bounds.lo + pixel / 2, bounds.hi - pixel / 2)
+    np.testing.assert_allclose(cost(x), RegularGridInterpolator(centers, values.T)(inner), rtol=1e-13)
+
+
+def test_blocked_cells_are_known_and_have_the_factor_of_the_nearest_other():
+    values = np.random.default_rng(0).uniform(1, 9, (12, 10))
+    blocked = np.random.default_rng(1).random(values.shape) < 0.4
+    forms = np.where(blocked, np.inf, values), np.where(blocked, np.nan, values), np.ma.array(values, mask=blocked)
+    x = np.stack(np.meshgrid(np.arange(10) + 0.5, 2 * np.arange(12) + 1.0), axis=-1)
+    for form in forms:
+        cost = RasterCost(form, ((0, 0), (10, 24)))
+        np.testing.assert_array_equal(cost.free, ~blocked)
+        np.testing.assert_array_equal(cost.values, forms[0])
+        np.testing.assert_array_equal(cost(x[~blocked]), values[~blocked])
+        distance, _ = cKDTree(x[~blocked]).query(x[blocked])
+        among = np.linalg.norm(x[blocked][:, None] - x[~blocked], axis=2) <= distance[:, None] + 1e-9
+        assert (among & (cost(x[blocked])[:, None] == values[~blocked])).any(axis=1).all()
+    with pytest.raises(ValueError, match="leave a cell that is not blocked"):
+        RasterCost(np.full((12, 10), np.nan), ((0, 0), (10, 24)))
+
+
+def test_around_a_periodic_axis_the_last_cells_are_neighbors_of_the_first():
+    values = np.array([1.0, 2, 3, 5])
+    cost = RasterCost(values, Box([0], [4], [True]))
+    np.testing.assert_allclose(cost([[0], [4], [-0.25], [3.75], [400.5], [-3.5]]), [3, 3, 4, 4, 1, 1])
+    lower, upper = cost.bounds(np.array([[3.5], [-0.5], [401.5], [1]]), np.array([[4.5], [0.5], [402.5], [7]]))
+    np.testing.assert_allclose([lower, upper], [(1, 1, 2, 1), (5, 5, 3, 5)], rtol=1e-6)
+
+
+def test_of_more_coordinates_the_leading_ones_count_and_what_is_not_finite_has_no_factor():
+    cost = random_raster((6, 9))
+    x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (50, 2))
+    lo, hi = boxes_of(cost, 50)
+    longer = [np.append(each, np.ones((50, 1)), axis=1) for each in (x, lo, hi)]
+    np.testing.assert_array_equal(cost(longer[0]), cost(x))
+    np.testing.assert_array_equal(cost.bounds(*longer[1:]), cost.bounds(lo, hi))
+    np.testing.assert_array_equal(np.isnan(cost([(np.nan, 0), (0, np.inf), (1e300, -1e300)])), [True, True, False])
+    with pytest.raises(ValueError, match=r"q must have at least 2 coordinates, as RasterCost\(6 x 9 cells.*\(3, 1\)"):
+        cost(np.zeros((3, 1)))
+    with pytest.raises(ValueError, match="hi nowhere below lo"):
+        cost.bounds(hi, lo)
+
+
+@pytest.mark.parametrize("shape", [(1,), (37,), (1, 3), (17, 40), (3, 500), (9, 8, 11)], ids=str)
+@pytest.mark.parametrize("most_entries", [2**26, 1500])
+def test_a_sparse_table_has_the_extremes_of_blocks(shape, most_entries, monkeypatch):
+    monkeypatch.setattr("plr_jax.spaces._sparse_table._MOST_ENTRIES", most_entries)
+    rng = np.random.default_rng(0)
+    values = rng.integers(1, 1000, shape) * 1.0
+    ends = np.sort(rng.integers(0, shape, (2, 200, len(shape))), axis=0)
+    least, most = SparseTable(values).extremes(*ends)
+    blocks = [values[tuple(slice(a, b + 1) for a, b in zip(*each, strict=True))] for each in zip(*ends, strict=True)]
+    np.testing.assert_array_equal([least, most], [[b.min() for b in blocks], [b.max() for b in blocks]])
+    least, most = SparseTable(values / 7).extremes(*ends)  # which 32 bits do not hold
+    exact = np.array([[b.min() / 7 for b in blocks], [b.max() / 7 for b in blocks]])
+    assert (least <= exact[0]).all() and (most >= exact[1]).all()
+    np.testing.assert_allclose([least, most], exact, rtol=2e-7)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([1.0, 2], ((0, 0), (1, 1))), r"a raster of 2 axes, as the bounds have, 4 at most.* got shape \(2,\)"),
+        ((np.ones((1,) * 5), ((0,) * 5, (1,) * 5)), "4 at most"),
+        ((np.ones((0, 2)), ((0, 0), (1, 1))), "at least one"),
+        (([[1.0, 0]], ((0, 0), (1, 1))), r"from 1e-30 to 1e\+30.* got 0 at \(0, 1\); .* use RasterCost.from_costmap"),
+        (([[1.0], [-np.inf]], ((0, 0), (1, 1))), r"got -inf at \(1, 0\)"),
+        (([[1e31]], ((0, 0), (1, 1))), "got 1e"),
+        (([["a"]], ((0, 0), (1, 1))), "values must be factors on a raster of 2 axes, got"),
+        (([[1.0]], 5), r"The bounds must be a Box or its corners"),
+        (([[1.0]], ((0, 0), (1, 1)), "cubic"), "interpolation must be 'bilinear' or 'nearest', got 'cubic'"),
+    ],
+    ids=range(9),
+)
+@pytest.mark.usefixtures("unchecked_types")
+def test_what_is_no_raster_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        RasterCost(*arguments)
+
+
+@pytest.mark.parametrize("shape", [(7,), (6, 9), (4, 5, 6)], ids=str)
+def test_the_space_is_that_of_the_cells_that_are_not_blocked(shape):
+    pytest.importorskip("plr_jax.spaces._voxels")
+    cost = random_raster(shape)
+    x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (500, len(shape)))
+    cell = np.floor((x - cost.domain.lo) / cost.domain.width * shape[::-1]).astype(int)
+    assert cost.space().domain == cost.domain
+    np.testing.assert_array_equal(cost.space().is_free(x), cost.free[tuple(cell.T[::-1])])
+    clear = cost.space(0.1 * cost.domain.width.min()).is_free(x)
+    assert not (clear & ~cost.space().is_free(x)).any() and clear.any() and not clear.all()
+
+
+@pytest.mark.parametrize(("interpolation", "most_gap"), [("bilinear", 0.2), ("nearest", 0.4)])
+def test_bounds_of_the_solver_hold_the_cost_across_stripes(interpolation, most_gap):
+    """Straight across stripes, which are horizontal, no path is cheaper than the straight one."""
+    factors = np.tile(np.linspace(1, 3, 16)[:, None], (1, 16))
+    cost, goal = RasterCost(factors, ((0, 0), (1, 1)), interpolation), (0.5, 0.0)
+    plr = solve_eikonal(PlaneSpace(Workspace(((0, 0), (1, 1)))), goal, cost_map=cost, max_leaves=300)
+    fine = (np.arange(4000) + 0.5) / 4000
+    along = np.cumsum(cost(np.stack([np.full(4000, 0.5), fine], axis=1))) / 4000
+    x = np.stack([np.full(4000, 0.5), fine + 0.5 / 4000], axis=1)[:-1]
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
+    assert (lower <= along[:-1] + 1e-3).all() and (along[:-1] <= upper + 1e-3).all()
+    assert (upper - lower)[-1] < most_gap * along[-1]
+
+
+def test_bounds_of_the_solver_hold_what_a_fast_march_finds_among_walls():
+    skfmm = pytest.importorskip("skfmm")
+    free = np.ones((32, 32), bool)
+    free[10:13, :20] = free[20:22, 14:] = False
+    plain = RasterCost(np.where(free, 1.0, np.inf), ((0, 0), (8, 8)))
+    cost = plain.inflated(0.2, inflation_radius=2.0, cost_scaling_factor=1.5)
+    space = PlaneSpace(Workspace.from_mask(cost.free, 0.25, tolerance=0))
+    assert space.domain == cost.domain
+    goal = np.array([1.0, 1.0])
+    plr = solve_eikonal(space, goal, cost_map=cost, max_leaves=300)
+    grid = Box((0, 0), (8, 8)).grid(512)
+    x = grid.reshape(-1, 2)
+    inside = space.is_free(x)
+    away = np.ma.array(np.linalg.norm(grid - goal, axis=2) - 0.1, mask=~inside.reshape(512, 512))
+    time = skfmm.travel_time(away, 1 / cost(x).reshape(512, 512), dx=8 / 512, order=2)
+    reached = inside & ~np.ma.getmaskarray(time).ravel() & (away.ravel().data > 0)
+    march = time.ravel().data[reached] + 0.1 * cost(goal[None])
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x[reached]))
+    assert (lower <= 1.01 * march + 0.02).all() and (0.99 * march - 0.02 <= upper).all()
+    assert reached.sum() > 0.5 * inside.sum()
+    assert np.mean(lower / march) > 0.6
+
+
+def test_a_raster_in_the_plane_serves_a_body_with_a_heading():
+    cost = RasterCost(np.linspace(1, 2, 24).reshape(4, 6), ((0, 0), (6, 4)))
+    space = RigidBodySpace(Workspace(((0, 0), (6, 4))), RectangleRobot(1.0, 0.5), rotation_weight=0.3)
+    plr = solve_eikonal(space, (1, 1, 0), cost_map=cost, max_leaves=200)
+    lower, upper = plr.bounds(np.array([[5.0, 3.0, 0.5]]))
+    length = np.hypot(4, 2) + 0.15
+    assert 0 < lower[0] <= 2 * length and upper[0] >= length
