@@ -18,9 +18,9 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
   `NearestGoal`; `robot_distance_fns`, one for each robot.
 - Inside `jit`, on maps that are arrays and change: `grid_distance`, to a goal a `GridDistance`, else `GridDistances`.
 - Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, of any
-  robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which tells
-  a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`, `Climbing`, `Current`, or your
-  own `DirectionalCost` or `LipschitzCost`.
+  robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which
+  tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`, `Climbing`, `Current`, or
+  your own `DirectionalCost` or `LipschitzCost`.
 
 # Store: the answer in kilobytes
 

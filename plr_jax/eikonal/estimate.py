@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float, Int, Int8
 from plr_jax.eikonal.mesh import even_depth
 from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
 from plr_jax.plr.partition.cells import corner_bits
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
 MOST_AXES = 4
 _NEAR = 2  # nodes, on each side of the goal, from which one goes straight to it
@@ -27,7 +28,8 @@ class GridEstimate:
         space: The configuration space.
         depth: How often the domain is halved along each axis.
         goal: The goal, a fraction of the domain.
-        ratio: The cost-to-go over the straight cost to the goal, at each node; ``inf`` where no way was found.
+        straight: What a motion to the goal would cost by the costs there.
+        ratio: The cost-to-go over that of the straight motion, at each node; ``inf`` where no way was found.
         way: The motion from each node, along each axis, in steps of the grid.
         box: What is known of the boxes between nodes.
     """
@@ -35,6 +37,7 @@ class GridEstimate:
     space: ConfigurationSpace
     depth: Int[np.ndarray, "dim"]
     goal: Float[np.ndarray, "dim"]
+    straight: Callable[[Float[np.ndarray, "n dim"]], Float[np.ndarray, "n"]]
     ratio: Float[np.ndarray, "*shape"]
     way: Float[np.ndarray, "*shape dim"]
     box: Int8[np.ndarray, "*boxes"]
@@ -55,7 +58,7 @@ class GridEstimate:
             weight[doubtful] *= self.space.are_free(self._at(x[doubtful]), self._at(self._of(node[doubtful])))
             total += weight * np.where(weight > 0, ratio, 0.0)
             weights += weight
-        straight = self._straight(x)
+        straight = self.straight(self.space.domain.difference(self._at(self.goal[None]), self._at(x)))
         return np.where(weights > 0, total / np.maximum(weights, np.finfo(float).tiny) * straight, np.inf)
 
     def along(self, x: Fractions, strides: Sequence[int]) -> Iterator[Fractions]:
@@ -83,19 +86,15 @@ class GridEstimate:
     def _at(self, x: Fractions) -> Float[np.ndarray, "n dim"]:
         return self.space.domain.lo + self.space.domain.width * x
 
-    def _straight(self, x: Fractions) -> Float[np.ndarray, "n"]:
-        domain = self.space.domain
-        return self.space.motion_cost.norm(domain.difference(self._at(x), self._at(self.goal[None])))
-
 
 def swept_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_nodes: int
 ) -> GridEstimate:
-    """The estimate on a grid of about so many nodes, at most twice that a axis."""
+    """The estimate on a grid of at most so many boxes, about equally wide along every axis."""
     domain, motion = space.domain, space.motion_cost
     depth = even_depth(domain, motion.scale, num_nodes, num_nodes)
     periodic = np.array(domain.periodic)
-    shape = tuple((1 << depth) + ~periodic)
+    shape = tuple(((1 << depth) + ~periodic).tolist())
     box = _box_states(space, depth)
     x = np.ldexp(np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).astype(float), -depth)
     q = domain.lo + domain.width * x
@@ -112,26 +111,41 @@ def swept_estimate(
     if pulls_of_free is not None:
         pulls = np.zeros((2, domain.dim, *shape))
         pulls[:, :, may_go] = np.moveaxis(pulls_of_free, 2, 1)
-    ratio, way = _near_goal(space, depth, goal, costs_of, shape)
+    factor_there, pulls_there = costs_of(domain.lo + domain.width * goal[None])
+
+    def straight(change):
+        pulls = None if pulls_there is None else np.broadcast_to(pulls_there, (2, *change.shape))
+        return factor_there * motion.norm(change) + pulled(pulls, change)
+
+    ratio, way = _near_goal(space, depth, goal, costs_of, straight, shape)
     # In units in which nodes are about 1 apart, motions of length 1 along an axis cost 1 at the mean.
     size = domain.width * np.ldexp(1.0, -depth) * motion.scale
     unit, rate = np.exp(np.log(size).mean()), float(np.mean(of_free)) if len(of_free) else 1.0
     grid = CostGrid(
         jnp.asarray(size / unit, jnp.float32),
         jnp.asarray(goal * domain.width * motion.scale / unit, jnp.float32),
-        NodeCosts(jnp.asarray(factor / rate, jnp.float32), None if pulls is None else _scaled(pulls, motion, rate)),
+        _scaled(factor_there[0], None if pulls_there is None else pulls_there[:, 0], motion, rate),
+        _scaled(factor, pulls, motion, rate),
         jnp.asarray(is_free),
     )
     blocks = tuple(axes for axes, _ in motion.blocks)
     periods = tuple(int(size) if wraps else None for size, wraps in zip(shape, periodic, strict=True))
-    start = Swept(jnp.asarray(ratio / rate, jnp.float32), jnp.asarray(np.moveaxis(way, -1, 0), jnp.float32))
+    start = Swept(jnp.asarray(ratio, jnp.float32), jnp.asarray(np.moveaxis(way, -1, 0), jnp.float32))
     found = sweep(start, grid, GridMetric(blocks, periods))
-    ratio = rate * np.asarray(found.ratio, np.float64)
-    return GridEstimate(space, depth, goal, ratio, np.moveaxis(np.asarray(found.way, np.float64), 0, -1), box)
+    ratio = np.asarray(found.ratio, np.float64)
+    return GridEstimate(
+        space, depth, goal, straight, ratio, np.moveaxis(np.asarray(found.way, np.float64), 0, -1), box
+    )
 
 
-def _scaled(pulls: Float[np.ndarray, "2 dim *shape"], motion: MotionCost, rate: float):
-    return jnp.asarray(pulls / (motion.scale.reshape(-1, *[1] * len(motion.scale)) * rate), jnp.float32)
+def _scaled(
+    factor: Any, pulls: Float[np.ndarray, "2 dim *shape"] | None, motion: MotionCost, rate: float
+) -> NodeCosts:
+    """Costs in other units: of costs, and of axes."""
+    if pulls is not None:
+        pulls = pulls / (rate * motion.scale.reshape(-1, *[1] * (pulls.ndim - 2)))
+    factor = jnp.asarray(factor / rate, jnp.float32)
+    return NodeCosts(factor, None if pulls is None else jnp.asarray(pulls, jnp.float32))
 
 
 PointCosts = Callable[
@@ -198,26 +212,22 @@ def _near_goal(
     depth: Int[np.ndarray, "dim"],
     goal: Float[np.ndarray, "dim"],
     costs_of: PointCosts,
-    shape,
+    straight: Callable[[Float[np.ndarray, "n dim"]], Float[np.ndarray, "n"]],
+    shape: tuple[int, ...],
 ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape dim"]]:
-    """What straight motions to the goal cost over their lengths, and these motions, from the nodes around it."""
-    domain, place = space.domain, np.ldexp(goal, depth)
+    """The ratio at nodes around the goal from which one goes straight to it, and these motions."""
+    domain, motion, place = space.domain, space.motion_cost, np.ldexp(goal, depth)
     around = np.array(list(product(range(1 - _NEAR, _NEAR + 1), repeat=domain.dim)))
     node = np.floor(place).astype(np.int64) + around
-    node = node[((node >= 0) & (node < np.array(shape)) | domain.periodic).all(axis=1)]
-    to_goal = place - node
-    q, change = (
-        domain.lo + domain.width * np.ldexp(node.astype(float), -depth),
-        np.ldexp(domain.width, -depth) * to_goal,
-    )
+    node = node[(((node >= 0) & (node < np.array(shape))) | domain.periodic).all(axis=1)]
+    to_goal, step = place - node, np.ldexp(domain.width, -depth)
+    q, change = domain.lo + step * node, step * to_goal
     free = space.are_free(q, q + change)
     node, to_goal, q, change = node[free] % np.array(shape), to_goal[free], q[free], change[free]
-    (here, pulls), (there, pulls_there) = costs_of(q), costs_of(domain.lo + domain.width * goal[None])
-    ratio = (here + there) / 2
-    if pulls is not None and pulls_there is not None:
-        length = space.motion_cost.norm(change)
-        pulled = np.einsum("kij,ij->ki", (pulls + pulls_there) / 2, change).max(axis=0)
-        ratio = ratio + np.divide(pulled, length, out=np.zeros(len(q)), where=length > 0)
-    ratios, way = np.full(shape, np.inf), np.zeros((*shape, domain.dim))
-    ratios[tuple(node.T)], way[tuple(node.T)] = ratio, to_goal
-    return ratios, way
+    factor, pulls = costs_of(q)
+    here = factor * motion.norm(change) + pulled(pulls, change)  # and at the goal, of which the mean is taken
+    there = straight(change)
+    mean = np.divide(here, there, out=np.ones(len(q)), where=there > 0) / 2 + 0.5
+    ratio, way = np.full(shape, np.inf), np.zeros((*shape, domain.dim))
+    ratio[tuple(node.T)], way[tuple(node.T)] = mean, to_goal
+    return ratio, way

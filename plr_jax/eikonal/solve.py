@@ -137,8 +137,8 @@ def solve_eikonal(
     Cells are halved where that matters, and proven free, blocked, or neither. The largest function that is 0 at the
     goal, continuous across every face that is not proven blocked, and nowhere steeper than a step costs, is a lower
     bound of the cost of every path, in any dimension. Paths through cells that are proven free bound it from above.
-    The PLR itself is an estimate between the two. Where costs vary, that is a semi-Lagrangian one of second order, on a
-    grid of four times as many nodes; else mixed cells count as free or blocked for it, by one motion each.
+    The PLR itself is an estimate between the two. Where costs vary, that is a semi-Lagrangian one of second order, on
+    a grid of four times as many nodes; else mixed cells count as free or blocked for it, by one motion each.
     ``plr.bounds`` has both bounds: as what is proven of a PLR always, they hold for every point from which the goal
     can be reached.
 
@@ -215,8 +215,8 @@ def _swept(
     """The estimate alone, on cells that are about equally wide along every axis."""
     mesh = coarse_mesh(space, space.motion_cost.scale, most, most)
     costs = swept_estimate(space, cost_map, goal, _NODES_PER_CELL * most)(mesh.nodes)
-    reached = np.isfinite(costs)[mesh.corners].any(axis=1)
-    mesh = mesh.without(~reached)
+    is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
+    mesh = mesh.without(np.logical_not(is_reached))
     return MeshEstimate.of_nodes(mesh, costs)
 
 

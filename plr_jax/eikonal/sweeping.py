@@ -1,10 +1,10 @@
 """The cost-to-go at the nodes of a regular grid, of second order, within milliseconds: an estimate.
 
 Nodes are visited plane by plane. From a node a straight motion leads to the plane before, to where the cost of the
-motion and the cost-to-go are least together. There, between nodes, the cost-to-go over the straight length to the
-goal is a parabola along each axis: that ratio is smooth where the cost-to-go has the tip of a cone. Planes are updated
-along every axis, there and back, until nothing changes. Motions that meet walls are left out, so that walls may be
-anywhere between nodes.
+motion and the cost-to-go are least together. Between nodes of that plane the cost-to-go, over that of the straight
+motion to the goal, is a parabola along each axis: this ratio is smooth where the cost-to-go has the tip of a cone.
+Planes are updated along every axis, there and back, until nothing changes. Motions that meet walls are left out, so
+that walls may be anywhere between nodes.
 
 References:
     Zhao, "A fast sweeping method for eikonal equations", 2005. Falcone and Ferretti, "Semi-Lagrangian approximation
@@ -30,7 +30,7 @@ Plane = Float[Array, "*plane"]
 
 _MOST_ROUNDS = 500
 _SETTLED = 1e-5  # share by which what no longer counts as a change
-_NEWTON_STEPS = 4
+_NEWTON_STEPS = 5
 _LEAST_CURVATURE = 0.1  # over that of the length of a motion, where the sum is hardly convex
 _TINY = 1e-6  # of a step, below which a length has no direction
 
@@ -88,7 +88,9 @@ class NodeCosts(NamedTuple):
 
     def _products(self, change: Sequence[Any]) -> Any:
         assert self.pulls is not None
-        return sum(self.pulls[:, axis] * each for axis, each in enumerate(change))
+        changes = jnp.stack(jnp.broadcast_arrays(*change))
+        missing = changes.ndim + 1 - self.pulls.ndim  # axes, of costs at a single point
+        return jnp.sum(self.pulls.reshape(*self.pulls.shape, *[1] * missing) * changes, axis=1)
 
 
 class CostGrid(NamedTuple):
@@ -97,12 +99,14 @@ class CostGrid(NamedTuple):
     Attributes:
         spacing: Of nodes along each axis.
         goal: Where the goal is from the first node.
+        straight: Costs at the goal, by which straight motions to it are measured.
         costs: Of motions at each node.
         is_free: Which motions to the nodes around are free, in the order of :func:`half_offsets`.
     """
 
     spacing: Float[Array, "dim"]
     goal: Float[Array, "dim"]
+    straight: NodeCosts
     costs: NodeCosts
     is_free: Bool[Array, "half *shape"]
 
@@ -111,7 +115,7 @@ class Swept(NamedTuple):
     """The cost-to-go on a grid.
 
     Attributes:
-        ratio: Over the straight length to the goal, at each node; ``inf`` where no way was found.
+        ratio: Over what the straight motion to the goal would cost, at each node; ``inf`` where no way was found.
         way: The motion from each node, along each axis, in steps of the grid.
     """
 
@@ -159,8 +163,8 @@ def _swept_along(
 ) -> Swept:
     """Planes across an axis, one after the other, forth and back, each updated from the one before."""
 
-    def by_planes(values: Array | None) -> Array | None:
-        return None if values is None else jnp.moveaxis(values, values.ndim - metric.dim + axis, 0)
+    def by_planes(values: Array) -> Array:
+        return jnp.moveaxis(values, values.ndim - metric.dim + axis, 0)
 
     (ratio, way), costs = jax.tree.map(by_planes, (tuple(state), grid.costs))
     to_goal = [jnp.arange(n) * h - x for n, h, x in zip(state.ratio.shape, grid.spacing, grid.goal, strict=True)]
@@ -175,7 +179,7 @@ def _swept_along(
             (old, old_way), costs_here, may_go, x = here
             place = [*across[:axis], x, *across[axis:]]
             plane = _PlaneBefore.of(ratio_before, costs_before, may_go, sides, wraps)
-            new, new_way = _cheapest(metric, axis, grid.spacing, place, costs_here, np.array(offsets), plane)
+            new, new_way = _cheapest(metric, axis, grid, place, costs_here, np.array(offsets), plane)
             gains = new < old
             new = jnp.where(gains, new, old)
             return (new, costs_here), (new, jnp.where(gains, new_way, old_way))
@@ -195,7 +199,7 @@ class _PlaneBefore(NamedTuple):
     Attributes:
         ratio: Of the nodes around there, side by side; ``inf`` where no motion leads to.
         costs: Of motions at these.
-        bends: Second differences of the ratio along each axis of the plane, at the node before and on both sides of it.
+        bends: Second differences of the ratio along each axis of the plane, at the node before and on its two sides.
     """
 
     ratio: Float[Array, "sides *plane"]
@@ -230,7 +234,7 @@ class _PlaneBefore(NamedTuple):
 def _cheapest(
     metric: GridMetric,
     across: int,
-    spacing: Float[Array, "dim"],
+    grid: CostGrid,
     place: Sequence[Array],
     costs: NodeCosts,
     offsets: Int[np.ndarray, "sides dim"],
@@ -241,32 +245,35 @@ def _cheapest(
     Args:
         metric: How motions are measured.
         across: The axis across which the planes are.
-        spacing: Of nodes along each axis.
+        grid: The grid.
         place: Where the nodes are from the goal, along each axis.
         costs: Of motions there.
         offsets: To the nodes around in the plane before.
         before: What is known of these.
 
     Returns:
-        The cost-to-go over the straight length to the goal, and the motions in steps along each axis.
+        The cost-to-go over that of the straight motion to the goal, and the motions in steps along each axis.
     """
-    axes, shape = range(metric.dim), jnp.shape(costs.factor)
+    axes, shape, spacing = range(metric.dim), jnp.shape(costs.factor), grid.spacing
 
     def total(steps, ratio, costs_there):
         change = [spacing[axis] * steps[axis] for axis in axes]
-        return ratio * metric.length(_from_goal(metric, spacing, place, change)) + costs_there.of(metric, change)
+        return ratio * grid.straight.of(metric, _to_goal(metric, spacing, place, change)) + costs_there.of(
+            metric, change
+        )
 
     # To one of the nodes.
-    beside = NodeCosts(
-        (costs.factor + before.costs.factor) / 2,
-        None if costs.pulls is None else (costs.pulls[:, :, None] + before.costs.pulls) / 2,
-    )
+    pulls = before.costs.pulls
+    if pulls is not None and costs.pulls is not None:
+        pulls = (costs.pulls[:, :, None] + pulls) / 2
+    beside = NodeCosts((costs.factor + before.costs.factor) / 2, pulls)
     steps = offsets.T.reshape(metric.dim, -1, *[1] * len(shape)).astype(np.float32)
     totals = total(steps, before.ratio, beside)
     best = jnp.argmin(totals, axis=0)
     least, way = jnp.min(totals, axis=0), jnp.moveaxis(jnp.asarray(steps.reshape(metric.dim, -1))[:, best], 0, 0)
 
-    # To between them, by Newton's method along all axes of the plane at once.
+    # To between them, by Newton's method along all axes of the plane at once. Costs that depend on which way one goes
+    # have kinks: where it leaves what is known to hold the best step along an axis, that is halved.
     row = {tuple(offset): number for number, offset in enumerate(offsets.tolist())}
     center = [int(offsets[0, axis]) if axis == across else 0 for axis in axes]
     middle = row[tuple(center)]
@@ -308,24 +315,30 @@ def _cheapest(
         return value, cost
 
     steps = [jnp.full(shape, float(step)) for step in center]
+    brackets = {
+        axis: (jnp.where(has[-1], -1.0, 0.0), jnp.where(has[1], 1.0, 0.0)) for axis, (*_, has) in lines.items()
+    }
     for _ in range(_NEWTON_STEPS):
         value, cost = interpolated(steps)
         change = [spacing[axis] * steps[axis] for axis in axes]
-        end = _from_goal(metric, spacing, place, change)
-        length, new = metric.length(end), list(steps)
-        for axis, (*_, costs_rise, has) in lines.items():
+        end = _to_goal(metric, spacing, place, change)
+        straight, new = grid.straight.of(metric, end), list(steps)
+        for axis, (*_, costs_rise, _has) in lines.items():
             h, (_, slope, bend) = spacing[axis], along(axis, steps[axis])
-            of_length, of_cost = metric.derivatives(end, axis), cost.derivatives(metric, change, axis)
-            first = slope * length + h * (value * of_length[0] + of_cost[0]) + costs_rise.of(metric, change)
-            second = bend * length + 2 * slope * h * of_length[0] + h**2 * (value * of_length[1] + of_cost[1])
+            of_end, of_cost = grid.straight.derivatives(metric, end, axis), cost.derivatives(metric, change, axis)
+            first = slope * straight + h * (of_cost[0] - value * of_end[0]) + costs_rise.of(metric, change)
+            second = bend * straight - 2 * slope * h * of_end[0] + h**2 * (value * of_end[1] + of_cost[1])
             floor = _LEAST_CURVATURE * h**2 * costs.factor / spacing[across]
+            low = jnp.where(first > 0, brackets[axis][0], steps[axis])
+            high = jnp.where(first > 0, steps[axis], brackets[axis][1])
             step = steps[axis] - first / jnp.maximum(second, floor)
-            new[axis] = jnp.clip(step, jnp.where(has[-1], -1.0, 0.0), jnp.where(has[1], 1.0, 0.0))
+            new[axis] = jnp.where((step >= low) & (step <= high), step, (low + high) / 2)
+            brackets[axis] = low, high
         steps = new
     value = jnp.where(is_known, total(steps, *interpolated(steps)), jnp.inf)
     way = jnp.where(value < least, jnp.stack(steps), way)
-    length = metric.length(_from_goal(metric, spacing, place, [0.0] * metric.dim))
-    return jnp.where(length > _TINY, jnp.minimum(least, value) / length, jnp.inf), way
+    straight = grid.straight.of(metric, _to_goal(metric, spacing, place, [0.0] * metric.dim))
+    return jnp.where(straight > _TINY, jnp.minimum(least, value) / straight, jnp.inf), way
 
 
 def _row(costs: NodeCosts, row: int, dim: int) -> NodeCosts:
@@ -337,11 +350,11 @@ def _lesser(a: Plane, b: Plane) -> Plane:
     return jnp.where(a * b > 0, jnp.where(jnp.abs(a) < jnp.abs(b), a, b), 0.0)
 
 
-def _from_goal(
+def _to_goal(
     metric: GridMetric, spacing: Float[Array, "dim"], place: Sequence[Array], change: Sequence[Any]
 ) -> list[Array]:
-    """Where motions end, from the goal, the short way around."""
-    ends = [x + by for x, by in zip(place, change, strict=True)]
+    """The straight motions to the goal from where others end, the short way around."""
+    ends = [-x - by for x, by in zip(place, change, strict=True)]
     return [
         end if nodes is None else end - spacing[axis] * nodes * jnp.round(end / (spacing[axis] * nodes))
         for axis, (end, nodes) in enumerate(zip(ends, metric.periods, strict=True))

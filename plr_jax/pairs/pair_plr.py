@@ -241,9 +241,11 @@ class PairPLR(HeldFile):
         size, corners = goals.to_corners.shape[-1], len(self.tables.distances)
         if size != corners:
             raise ValueError(
-                f"Goals must have been prepared by these pairs, whose map has {corners} corners, got such of a map with "
-                f"{size}: call prepared of these."
+                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size}: call the "
+                "prepared of these."
             )
+        if not prod(batch):
+            return jnp.zeros(np.broadcast_shapes(x.shape[:-1], batch), jnp.float32)
         number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
         answer = partial(_distances_to, self.tables, goals, outside=outside)
         if not is_on_one_host(x, goals.points, self.tables.walls):

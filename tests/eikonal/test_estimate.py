@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from eikonal_helpers import ROOM, BoxSpace
 
-from plr_jax import Current, LipschitzCost, PlaneSpace, VisibilityGraph
+from plr_jax import Climbing, LipschitzCost, PlaneSpace, VisibilityGraph
 from plr_jax.eikonal.estimate import swept_estimate
 from plr_jax.geometry.box import Box
 
@@ -24,7 +24,10 @@ def samples(domain, num=500):
     [
         (Box([0], [3]), None),
         (Box((0, -1), (2, 0), periodic=(False, True)), None),
-        (Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True)), (((0, 1), 1.0), ((2,), 1e-4))),
+        (
+            Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True)),
+            (((0, 1), 1.0), ((2,), 1e-4)),
+        ),
         (Box((0, 0, 0, 0), (1, 1, 1, 1)), None),
     ],
 )
@@ -32,41 +35,40 @@ def test_where_nothing_is_in_the_way_straight_motions_are_best(domain, blocks):
     space = BoxSpace(domain, blocks=blocks)
     goal = domain.lo + 0.37 * domain.width
     q = samples(domain)
-    np.testing.assert_allclose(estimate_of(space, goal, 700)(q), space.straight(q, goal), rtol=1e-4)
+    found, truth = estimate_of(space, goal, 700)(q), space.straight(q, goal)
+    np.testing.assert_allclose(found, truth, rtol=0.01)  # half a turn from the goal two ways are best
+    assert np.abs(found - truth).mean() < 3e-4 * truth.mean()
 
 
 def test_costs_that_rise_evenly_are_met_the_better_the_finer_the_grid():
     """The speed is linear, so that paths are arcs."""
-    space, goal, rise = BoxSpace(Box((0, 0), (2, 1))), np.array([0.3, 0.6]), 3.0
+    space, goal, rise = BoxSpace(Box((0, 0), (1, 2))), np.array([0.3, 0.6]), 3.0
     speed = lambda q: 0.5 + rise * q[:, 1]  # noqa: E731
-    cost = LipschitzCost(lambda q: 1 / speed(q), rise / 0.25, 1 / 3.5)
-    q = samples(space.domain)
+    cost = LipschitzCost(lambda q: 1 / speed(q), rise / 0.25, 1 / 6.5)
+    q = samples(Box((0, 0.1), (1, 1)))  # whose arcs stay inside
     square = np.sum((q - goal) ** 2, axis=1)
     truth = np.arccosh(1 + rise**2 * square / (2 * speed(q) * speed(goal[None]))) / rise
     coarse, fine = (np.abs(estimate_of(space, goal, n, cost)(q) - truth).mean() / truth.mean() for n in (600, 9_000))
-    assert fine < 3e-4 and fine < coarse / 8
+    assert fine < 3e-4 and fine < coarse / 6
 
 
 def test_walls_between_nodes_are_gone_around_and_sealed_rooms_are_not_reached():
     q = ROOM.sample_free(500, 0)
     truth = VisibilityGraph(ROOM, (0.3, 0.4))(q)
     found = estimate_of(PlaneSpace(ROOM), (0.3, 0.4), 9_000)(q)
-    assert np.abs(found - truth).mean() < 4e-3 * truth.mean()
-    space = BoxSpace(Box((0, 0), (1, 1)), ((0.501, 0), (0.502, 1)))
+    assert np.abs(found - truth).mean() < 7e-3 * truth.mean()
+    space = BoxSpace(Box((0, 0), (1, 1)), ((0.501, -1), (0.502, 2)))
     q = np.array([(0.2, 0.7), (0.8, 0.7)])
     assert np.isfinite(estimate_of(space, (0.1, 0.1), 700)(q)).tolist() == [True, False]
 
 
-def test_a_steady_current_is_crossed_in_the_known_time():
-    velocity = np.array([0.3, -0.2])
-    current = Current(lambda q: np.broadcast_to(velocity, q.shape), speed=1.0, lipschitz=0.0, fastest=0.37)
-    space, goal = BoxSpace(Box((0, 0), (1, 1))), np.array([0.4, 0.3])
+def test_climbing_evenly_costs_what_is_climbed():
+    space, goal, uphill = BoxSpace(Box((0, 0), (1, 1))), np.array([0.4, 0.3]), np.array([0.6, -0.3])
+    climbing = Climbing(lambda q: np.broadcast_to(uphill, q.shape), rate=2.0, lipschitz=0.0, steepest=0.7)
     q = samples(space.domain)
-    change = goal - q
-    a, along = 1 - velocity @ velocity, change @ velocity
-    truth = (np.sqrt(along**2 + a * np.sum(change**2, axis=1)) - along) / a
-    # What a motion costs is known in between, and not to the last percent.
-    np.testing.assert_allclose(estimate_of(space, goal, 2_000, current)(q), truth, rtol=0.06)
+    truth = np.linalg.norm(goal - q, axis=1) + 2 * np.maximum((goal - q) @ uphill, 0)
+    found = estimate_of(space, goal, 2_000, climbing)(q)
+    assert np.abs(found - truth).mean() < 5e-3 * truth.mean()
 
 
 def test_ways_lead_to_the_goal():

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from eikonal_helpers import EMPTY, ROOM, TwoGrounds, check_bounds
+from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_bounds
 
-from plr_jax import PlaneSpace, VisibilityGraph, Workspace, from_bytes, load, save, solve_eikonal
+from plr_jax import Box, LipschitzCost, PlaneSpace, VisibilityGraph, Workspace, from_bytes, load, save, solve_eikonal
 from plr_jax.eikonal.field import MeshEstimate
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 
@@ -43,6 +43,31 @@ def test_of_a_space_that_only_tests_nothing_is_proven():
     assert plr.max_error is None
     with pytest.raises(ValueError, match="Nothing is proven"):
         plr.bounds(x)
+
+
+@pytest.mark.parametrize("space", [PlaneSpace(ROOM), FreeOnly(PlaneSpace(ROOM))])
+def test_estimates_alone_are_near_and_nothing_is_proven_of_them(space):
+    plr = solve_eikonal(space, GOAL, max_leaves=4_096, certified=False)
+    x = ROOM.sample_free(2000, 0)
+    distance = VisibilityGraph(ROOM, GOAL)(x)
+    assert np.abs(np.asarray(plr(x)) - distance).mean() < 0.012 * distance.mean()
+    with pytest.raises(ValueError, match="Nothing is proven"):
+        plr.bounds(x)
+    small = solve_eikonal(space, GOAL, max_leaves=4_096, max_bytes=600, certified=False)
+    assert small.num_bytes <= 600
+    assert np.abs(np.asarray(small(x)) - distance).mean() < 0.05 * distance.mean()
+
+
+def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
+    """The speed is linear, so that paths are arcs."""
+    speed = lambda q: 0.5 + 3 * q[:, 1]  # noqa: E731
+    space, goal = BoxSpace(Box((0, 0), (1, 2))), np.array([0.3, 0.6])
+    plr = solve_eikonal(space, goal, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12, 0.15), max_leaves=600)
+    x = np.random.default_rng(0).uniform((0, 0.1), (1, 1), (1000, 2))  # whose arcs stay inside
+    truth = np.arccosh(1 + 9 * np.sum((x - goal) ** 2, axis=1) / (2 * speed(x) * speed(goal[None]))) / 3
+    lower, upper = plr.bounds(x)
+    assert (lower <= truth).all() and (truth <= upper).all()
+    assert np.abs(np.asarray(plr(x)) - truth).mean() < 0.02 * np.mean(upper - lower) < 0.01 * truth.mean()
 
 
 def test_files_keep_what_is_proven_and_where_nothing_is(plr, tmp_path):
