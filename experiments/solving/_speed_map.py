@@ -56,7 +56,8 @@ MAPS: dict[str, CostMap] = {
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    limits, side = (({"max_leaves": 300},), _SMOKE_SIDE) if smoke else (LIMITS, SIDE)
+    limits: tuple[dict[str, Any], ...] = ({"max_leaves": 300},) if smoke else LIMITS
+    side = _SMOKE_SIDE if smoke else SIDE
     space = PlaneSpace(Workspace(((0, 0), (1, 1))))
     x = space.workspace.sample_free(5_000 if smoke else POINTS, _POINT_SEED + seed)
     solve_eikonal(space, GOAL, max_leaves=100)  # imports and compiles

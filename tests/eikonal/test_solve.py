@@ -62,7 +62,7 @@ def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
     """The speed is linear, so that paths are arcs."""
     speed = lambda q: 0.5 + 3 * q[:, 1]  # noqa: E731
     space, goal = BoxSpace(Box((0, 0), (1, 2))), np.array([0.3, 0.6])
-    plr = solve_eikonal(space, goal, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12, 0.15), max_leaves=600)
+    plr = solve_eikonal(space, goal, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12.0, 0.15), max_leaves=600)
     x = np.random.default_rng(0).uniform((0, 0.1), (1, 1), (1000, 2))  # whose arcs stay inside
     truth = np.arccosh(1 + 9 * np.sum((x - goal) ** 2, axis=1) / (2 * speed(x) * speed(goal[None]))) / 3
     lower, upper = plr.bounds(x)

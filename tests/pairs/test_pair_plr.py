@@ -169,7 +169,7 @@ def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compi
     with pytest.raises(ValueError, match=r"goals must be points of shape \(..., 2\), got \(3,\)"):
         maze.prepared(np.zeros(3))
     assert maze(np.zeros((0, 2)), maze.prepared(np.zeros((0, 2)))).shape == (0,)
-    other = plr_jax.construct_pairs(Workspace(((0, 0), (1, 1))), max_bytes=200)
+    other = plr_jax.construct_pairs(plr_jax.Workspace(((0, 0), (1, 1))), max_bytes=200)
     with pytest.raises(ValueError, match="prepared by these pairs"):
         maze(x, other.prepared(np.full(2, 0.5)))
 
