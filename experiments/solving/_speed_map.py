@@ -17,7 +17,7 @@ from experiments.solving._rivals import marched
 from plr_jax import CostMap, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
 
 GOAL = np.array([0.13, 0.21])
-LIMITS = ({"max_leaves": 10_000}, {"max_bytes": 6_144})
+LIMITS: tuple[dict[str, Any], ...] = ({"max_leaves": 10_000}, {"max_bytes": 6_144})
 SIDE, _SMOKE_SIDE = 4_096, 256
 POINTS = 1_000_000
 _POINT_SEED = 61_000
