@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from plr_jax.eikonal.mesh import even_depth
+from plr_jax.eikonal.mesh import SampledSpace, even_depth
 from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
-MOST_AXES = 4
+MOST_AXES = 3
 _NEAR = 2  # nodes, on each side of the goal, from which one goes straight to it
 
 Fractions = Float[np.ndarray, "n dim"]
@@ -169,7 +169,8 @@ def _point_costs(motion: MotionCost, cost_map: CostMap | None) -> PointCosts:
 
 def _box_states(space: ConfigurationSpace, depth: Int[np.ndarray, "dim"]) -> Int8[np.ndarray, "*boxes"]:
     """What is proven of the boxes between nodes: of the mixed ones of a coarser grid, part by part."""
-    at = np.maximum(depth - depth.max(), 0)
+    is_proven = not isinstance(space, SampledSpace)  # of which large boxes tell little
+    at = np.maximum(depth - depth.max(), 0) if is_proven else depth
     state = np.full(tuple(1 << at), CellState.MIXED, np.int8)
     while True:
         mixed = np.argwhere(state == CellState.MIXED)

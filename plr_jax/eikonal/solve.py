@@ -154,7 +154,7 @@ def solve_eikonal(
         tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
             in units of cost, at least 0; None: 0, so that all of ``max_leaves`` are used.
         certified: Whether bounds are proven. If not, the PLR is an estimate alone, found by sweeps over a grid within
-            milliseconds, but for their compilation (beyond four axes: in the same way and time as with bounds); its
+            milliseconds, but for their compilation (beyond three axes: in the same way and time as with bounds); its
             cells are about equally wide along every axis, and ``tolerance`` does not matter.
         seed: Seed of samples.
 

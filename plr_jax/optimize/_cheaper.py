@@ -45,7 +45,8 @@ def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         tried[which] = ahead[which]
         which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
         straight = costs.integrals(nodes[which], nodes[ahead[which]], STEP_TOLERANCE)
-        better = straight <= (1 - _GAIN) * (leg[which] + leg[onward[which]])
+        legs = leg[which], leg[onward[which]]
+        better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # two nodes at one place are one
         which, straight = which[better], straight[better]
         onward[which], leg[which] = ahead[which], straight
 

@@ -28,7 +28,6 @@ def samples(domain, num=500):
             Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True)),
             (((0, 1), 1.0), ((2,), 1e-4)),
         ),
-        (Box((0, 0, 0, 0), (1, 1, 1, 1)), None),
     ],
 )
 def test_where_nothing_is_in_the_way_straight_motions_are_best(domain, blocks):
