@@ -26,6 +26,7 @@ SECTIONED = (
     "grid_distance",
     "everyday",
     "shaping",
+    "costs",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -41,6 +42,7 @@ FAMILIES = {
     "everyday": ("--only", "steps"),
     "grid_distance": ("--only", "rooms"),
     "shaping": ("--only", "learning"),
+    "costs": ("--only", "estimates"),
 }
 
 

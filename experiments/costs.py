@@ -1,0 +1,165 @@
+"""Costs that vary from place to place: estimates and proven bounds beside second-order fast marching of scikit-fmm.
+
+Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. The truth is a fast march of
+3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
+about as many nodes as the PLR has cells, and is interpolated between them. Seconds are of all cores, compiled before.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import skfmm
+from jaxtyping import Float
+from scipy import ndimage
+from scipy.interpolate import RegularGridInterpolator
+
+from experiments._runner import Section, run
+from plr_jax import CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
+
+BOUNDS = ((0.0, 0.0), (2.0, 1.0))
+GOAL = np.array([0.2, 0.2])
+WALL = [(0.9, 0.0), (1.0, 0.0), (1.0, 0.6), (0.9, 0.6)]
+POINTS = 20_000
+CELLS = (2_500, 10_000, 40_000)
+_TURNS = 3
+_FINE = 1_600  # rows of the truth
+
+Points = Float[np.ndarray, "n 2"]
+Distance = Callable[[Points], Float[np.ndarray, "n"]]
+
+
+def _ramp(q: Points) -> Float[np.ndarray, "n"]:
+    return 1 + 3 / (1 + np.exp(-(12 * (q[:, 0] - 1.4) - 6 * (q[:, 1] - 0.5))))
+
+
+def _waves(q: Points) -> Float[np.ndarray, "n"]:
+    return 1.5 + 0.5 * np.sin(6 * q[:, 0]) * np.cos(7 * q[:, 1])
+
+
+def _hill(q: Points) -> Float[np.ndarray, "n"]:
+    return 1 + 9 * np.exp(-12 * ((q[:, 0] - 1.3) ** 2 + (q[:, 1] - 0.7) ** 2))
+
+
+def _cliff(q: Points) -> Float[np.ndarray, "n"]:
+    return np.exp(np.log(50) / (1 + np.exp(-10 * (q[:, 1] - 0.55))))
+
+
+def smooth() -> dict[str, LipschitzCost]:
+    constants = {"ramp": (_ramp, 10.07), "waves": (_waves, 3.6), "hill": (_hill, 26.8), "cliff": (_cliff, 250.0)}
+    return {name: LipschitzCost(cost_fn, float(most), 0.99) for name, (cost_fn, most) in constants.items()}
+
+
+def rasters(seed: int) -> dict[str, RasterCost]:
+    """Noise, smoothed over fewer and fewer of 200 x 100 pixels, and what is inflated around blocks."""
+    rng, maps = np.random.default_rng(seed), {}
+    for name, width, most in (("noise 2", 12, 2.0), ("noise 10", 8, 10.0), ("noise 50", 5, 50.0)):
+        noise = ndimage.gaussian_filter(rng.normal(size=(100, 200)), width)
+        share = (noise - noise.min()) / np.ptp(noise)
+        maps[name] = RasterCost(most**share, BOUNDS)
+    blocked = np.zeros((100, 200), bool)
+    for row, column in rng.integers((10, 30), (90, 190), (12, 2)):
+        blocked[row : row + 4, column : column + 4] = True
+    inflated = np.where(blocked, 0.0, 1 + 9 * np.exp(-ndimage.distance_transform_edt(~blocked) / 6))
+    maps["inflated"] = RasterCost(np.where(blocked, 10.0, inflated), BOUNDS)
+    return maps
+
+
+def marched(space: PlaneSpace, cost_map: CostMap, rows: int) -> tuple[Distance, Callable[[], Any]]:
+    """The cost-to-go by scikit-fmm on a grid of rows + 1 times twice as many + 1 nodes, and the march by itself."""
+    x, y = np.linspace(0, 2, 2 * rows + 1), np.linspace(0, 1, rows + 1)
+    q = np.stack(np.meshgrid(x, y), axis=-1)
+    flat, radius, at_goal = q.reshape(-1, 2), 1.5 / rows, float(cost_map(GOAL[None])[0])
+    factor = np.asarray(cost_map(flat)).reshape(q.shape[:2])
+    blocked = ~space.is_free(flat).reshape(q.shape[:2])
+    from_goal = np.linalg.norm(q - GOAL, axis=-1)
+
+    def march():
+        return skfmm.travel_time(np.ma.MaskedArray(from_goal - radius, blocked), 1 / factor, dx=1 / rows, order=2)
+
+    time_beyond = np.ma.filled(march(), np.nan) + radius * at_goal
+    cost = np.where(from_goal < radius, from_goal * (factor + at_goal) / 2, time_beyond)
+    return RegularGridInterpolator((x, y), cost.T), march
+
+
+def _space() -> PlaneSpace:
+    return PlaneSpace(Workspace(BOUNDS, [WALL]))
+
+
+def _cpu_seconds(call: Callable[[], Any], turns: int) -> float:
+    seconds = []
+    for _ in range(turns):
+        began = time.process_time()
+        call()
+        seconds.append(time.process_time() - began)
+    return float(np.median(seconds))
+
+
+def _relative(found: np.ndarray, truth: np.ndarray) -> float:
+    known = np.isfinite(truth) & np.isfinite(found)
+    return float(np.abs(found - truth)[known].mean() / truth[known].mean())
+
+
+def estimates(seed: int, smoke: bool) -> dict[str, Any]:
+    space, rows, fine = _space(), [], 200 if smoke else _FINE
+    maps = smooth() | rasters(seed)
+    x = space.workspace.sample_free(POINTS, seed)
+    for name, cost_map in list(maps.items())[:: 7 if smoke else 1]:
+        truth, half = (marched(space, cost_map, each)[0](x) for each in (fine, fine // 2))
+        for cells in CELLS[:1] if smoke else CELLS:
+
+            def build(cells=cells, cost_map=cost_map):
+                return solve_eikonal(space, GOAL, cost_map=cost_map, max_leaves=cells, certified=False)
+
+            plr, nodes = build(), int(np.sqrt(cells / 2))
+            rival, march = marched(space, cost_map, nodes)
+            rows.append(
+                {
+                    "map": name,
+                    "cells": plr.num_leaves,
+                    "error": _relative(np.asarray(plr(x), float), truth),
+                    "seconds": _cpu_seconds(build, _TURNS),
+                    "nodes of scikit-fmm": (nodes + 1) * (2 * nodes + 1),
+                    "its error": _relative(rival(x), truth),
+                    "its seconds": _cpu_seconds(march, _TURNS),
+                    "of the truth": _relative(half, truth),
+                }
+            )
+    return {"rows": rows}
+
+
+def bounds(seed: int, smoke: bool) -> dict[str, Any]:
+    space, rows = _space(), []
+    x = space.workspace.sample_free(1_000 if smoke else 50 * POINTS, seed)
+    maps = smooth() | rasters(seed)
+    for name in ("ramp",) if smoke else maps:
+        truth, half = (
+            marched(space, maps[name], each)[0](x) for each in ((200, 100) if smoke else (_FINE, _FINE // 2))
+        )
+        spare = 2 * np.nanmax(np.abs(truth - half))
+        for cells in (300,) if smoke else (10_000, 40_000) if name == "ramp" else (10_000,):
+            began = time.process_time()
+            plr = solve_eikonal(space, GOAL, cost_map=maps[name], max_leaves=cells)
+            seconds = time.process_time() - began
+            lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
+            both = np.isfinite(upper) & np.isfinite(truth)
+            rows.append(
+                {
+                    "map": name,
+                    "cells": plr.num_leaves,
+                    "seconds": seconds,
+                    "error": _relative(np.asarray(plr(x), float), truth),
+                    "gap": float((upper - lower)[both].mean() / truth[both].mean()),
+                    "broken": int(np.count_nonzero((lower > truth + spare) | (upper < truth - spare))),
+                    "points": len(x),
+                    "allowed": float(spare),
+                }
+            )
+    return {"rows": rows}
+
+
+SECTIONS = {each.__name__: Section(each) for each in (estimates, bounds)}
+
+if __name__ == "__main__":
+    run("costs", __doc__, SECTIONS)
