@@ -61,8 +61,9 @@ def rasters(seed: int) -> dict[str, RasterCost]:
     blocked = np.zeros((100, 200), bool)
     for row, column in rng.integers((10, 30), (90, 190), (12, 2)):
         blocked[row : row + 4, column : column + 4] = True
-    inflated = np.where(blocked, 0.0, 1 + 9 * np.exp(-ndimage.distance_transform_edt(~blocked) / 6))
-    maps["inflated"] = RasterCost(np.where(blocked, 10.0, inflated), BOUNDS)
+    from_blocks: Any = ndimage.distance_transform_edt(~blocked)
+    inflated = 1 + 9 * np.exp(-from_blocks / 6)
+    maps["inflated"] = RasterCost(inflated, BOUNDS)
     return maps
 
 
