@@ -49,7 +49,7 @@ class VoxelGrid:
             bounds: What they fill, or its corners; None: each has the sides 1, the first one its corner at 0.
             axes: How many axes are allowed.
         """
-        voxels = np.array(free)
+        voxels = np.array(free, order="C")  # tables of it are flat
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
             masked = ", some masked" if np.ma.is_masked(free) else ""

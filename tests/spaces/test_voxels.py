@@ -173,6 +173,16 @@ def test_voxels_of_unequal_sides_fill_their_bounds():
         space.free[0, 0, 0] = False
 
 
+def test_the_order_in_memory_makes_no_difference():
+    rng = np.random.default_rng(5)
+    free = rng.random((7, 4, 5)) < 0.7
+    rows, columns = VoxelSpace(free), VoxelSpace(np.asfortranarray(free))
+    lo, hi = random_boxes(rng, rows.domain, 200)
+    np.testing.assert_array_equal(rows.is_free(lo), columns.is_free(lo))
+    np.testing.assert_array_equal(rows.classify(lo, hi), columns.classify(lo, hi))
+    np.testing.assert_array_equal(rows.are_free(lo, hi), columns.are_free(lo, hi))
+
+
 def test_what_is_not_finite_or_outside_is_not_free():
     space = VoxelSpace(np.ones((2, 2), bool))
     q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [2, 2], [1e300, 0]])
