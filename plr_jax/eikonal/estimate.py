@@ -12,12 +12,16 @@ from jaxtyping import Bool, Float, Int, Int8
 from plr_jax.eikonal.mesh import SampledSpace, even_depth
 from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
 from plr_jax.plr.partition.cells import corner_bits
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, MotionCost, point_costs, pulled
 
 MOST_AXES = 3
 _NEAR = 2  # nodes, on each side of the goal, from which one goes straight to it
 
 Fractions = Float[np.ndarray, "n dim"]
+PointCosts = Callable[
+    [Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]
+]
+"""What motions cost at points: a factor of their length, and vectors of which they cost the larger product besides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,10 @@ def swept_estimate(
         may_go |= free
         ends = tuple((index + step) % size for index, step, size in zip(np.nonzero(free), offset, shape, strict=True))
         may_go[ends] = True
-    costs_of = _point_costs(motion, cost_map)
+
+    def costs_of(q):
+        return (np.ones(len(q)), None) if cost_map is None else point_costs(motion, cost_map, q)
+
     factor, pulls = np.ones(shape), None
     of_free, pulls_of_free = costs_of(q[may_go])
     factor[may_go] = of_free
@@ -146,25 +153,6 @@ def _scaled(
         pulls = pulls / (rate * motion.scale.reshape(-1, *[1] * (pulls.ndim - 2)))
     factor = jnp.asarray(factor / rate, jnp.float32)
     return NodeCosts(factor, None if pulls is None else jnp.asarray(pulls, jnp.float32))
-
-
-PointCosts = Callable[
-    [Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]
-]
-
-
-def _point_costs(motion: MotionCost, cost_map: CostMap | None) -> PointCosts:
-    """What motions cost at points: a factor, and vectors of which they cost the larger product besides."""
-
-    def costs_of(q):
-        if cost_map is None:
-            return np.ones(len(q)), None
-        if not isinstance(cost_map, DirectionalCost):
-            return np.asarray(cost_map(q), np.float64), None
-        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
-        return (lower + upper) / 2, pulls
-
-    return costs_of
 
 
 def _box_states(space: ConfigurationSpace, depth: Int[np.ndarray, "dim"]) -> Int8[np.ndarray, "*boxes"]:

@@ -9,6 +9,7 @@ from plr_jax.spaces._costs import DirectionalCost as DirectionalCost
 from plr_jax.spaces._costs import LipschitzCost as LipschitzCost
 from plr_jax.spaces._costs import cost_bounds as cost_bounds
 from plr_jax.spaces._costs import motion_rates as motion_rates
+from plr_jax.spaces._costs import point_costs as point_costs
 from plr_jax.spaces._costs import pulled as pulled
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
 from plr_jax.spaces._raster_cost import RasterCost as RasterCost

@@ -355,15 +355,21 @@ def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Ve
     return first, second, least, most
 
 
-def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
+def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
+    """What motions cost at configurations: as :func:`cost_bounds`, with one factor, which lies between the bounds."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
-        return (lower + upper) / 2 * motion.norm(change) + pulled(pulls, change)
+        return (lower + upper) / 2, pulls
     factors = as_values("The cost map", cost_map(q), len(q))
     expected = "A cost map's factors must be positive and finite"
     _require((factors > 0) & (factors < np.inf), expected, [factors], [q])
-    return factors * motion.norm(change)
+    return factors, None
+
+
+def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
+    """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
+    factors, pulls = point_costs(motion, cost_map, q)
+    return factors * motion.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
