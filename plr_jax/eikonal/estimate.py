@@ -21,7 +21,7 @@ Fractions = Float[np.ndarray, "n dim"]
 PointCosts = Callable[
     [Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]
 ]
-"""What motions cost at points: a factor of their length, and vectors of which they cost the larger product besides."""
+"""What motions cost at points: a factor of their length, and two vectors of which they cost the larger product."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,7 +266,7 @@ def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells di
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell, and beside it where a query may place points in it.
+    """Bounds of the cost of motions in each cell; upper ones hold beside it where a query may place points in it.
 
     Attributes:
         motion: The cost of a motion, times a factor.
@@ -291,13 +291,11 @@ class CellCosts:
     @property
     def midway(self) -> "CellCosts":
         """The same, with the middle of the bounds of the factor as its upper one: for estimates."""
-        least = (
-            self.lower
-            if self.pulls is None
-            else np.maximum(self.lower, np.linalg.norm(self.pulls, axis=2).max(axis=0))
-        )  # so that no motion costs less than nothing
-        middle = np.maximum(self.least, least) if self.pulls is not None else self.least
-        return replace(self, upper=(least + self.upper) / 2, most=(middle + self.most) / 2)
+        lower, least = self.lower, self.least
+        if self.pulls is not None:  # of which no motion may cost less than nothing
+            longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
+            lower, least = np.maximum(lower, longest), np.maximum(least, longest)
+        return replace(self, upper=(lower + self.upper) / 2, most=(least + self.most) / 2)
 
     @property
     def least_rates(self) -> Float[np.ndarray, "cells"]:
