@@ -69,9 +69,8 @@ def guided_paths(
     """
     graph = _FreeGraph(mesh, costs, goal, space)
     node = np.arange(graph.goal)
-    for place in guide.along(mesh.nodes, _STRIDES):
-        ahead = graph.nearest(place)
-        graph.join(node, ahead, graph.straight_costs(node, ahead))
+    ahead = [graph.nearest(place) for place in guide.along(mesh.nodes, _STRIDES)]
+    graph.join(np.tile(node, len(ahead)), np.concatenate(ahead))
     next_, leg = graph.cheapest_edges()
     return NodePaths(graph.points, (1 + _ROUNDING) * _along(next_, leg), next_)
 
@@ -110,6 +109,15 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
     return cost
 
 
+def _cheapest_of_each(
+    begin: Int[np.ndarray, "n"], end: Int[np.ndarray, "n"], cost: Float[np.ndarray, "n"], num_nodes: int
+) -> tuple[Edges, Edges, Float[np.ndarray, "edges"]]:
+    """Edges in order, of several between two nodes the cheapest."""
+    order = np.lexsort((cost, end, begin))
+    order = order[np.diff(begin[order].astype(np.int64) * num_nodes + end[order], prepend=-1) != 0]
+    return begin[order], end[order], cost[order]
+
+
 class _FreeGraph:
     """Corners of free cells, the goal last, and straight motions between those of one cell."""
 
@@ -132,12 +140,13 @@ class _FreeGraph:
         from_goal, from_node = (np.abs(x - self.points[at]).max(axis=-1) for at in (np.full(len(x), self.goal), node))
         return np.where(from_goal <= from_node, self.goal, node)
 
-    def join(self, begin: Edges, end: Edges, cost: Costs) -> None:
-        """Straight motions between other nodes."""
-        some = np.flatnonzero(np.isfinite(cost) & (begin != end))
-        self.begin, self.end, self.cost = (
-            np.append(old, new[some]) for old, new in ((self.begin, begin), (self.end, end), (self.cost, cost))
-        )
+    def join(self, begin: Edges, end: Edges) -> None:
+        """Add straight motions between other nodes, where they stay in free cells."""
+        cost = self.straight_costs(begin, end)
+        some = np.isfinite(cost) & (begin != end)
+        begin, end = np.append(self.begin, begin[some]), np.append(self.end, end[some])
+        cost = np.append(self.cost, cost[some])
+        self.begin, self.end, self.cost = _cheapest_of_each(begin, end, cost, len(self.points))
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
@@ -181,9 +190,8 @@ class _FreeGraph:
             change = self._changes(a, b)
             middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
             cost = self.costs.of_placed_motions(change, c, middle)
-            order = np.lexsort((cost, b, a))
-            order = order[np.diff(a[order] * len(self.points) + b[order], prepend=-1) != 0]  # the cheapest of each
-            yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
+            a, b, cost = _cheapest_of_each(a, b, cost, len(self.points))
+            yield a.astype(np.int32), b.astype(np.int32), cost
 
     def _straight_to_goal(
         self, space: ConfigurationSpace
@@ -207,10 +215,7 @@ class _FreeGraph:
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
         num = len(self.points)
-        order = np.lexsort((self.cost, self.end, self.begin))
-        begin, end, cost = self.begin[order], self.end[order], self.cost[order]
-        first = np.append(True, (begin[1:] != begin[:-1]) | (end[1:] != end[:-1]))
-        graph = csc_array((cost[first], end[first], np.searchsorted(begin[first], np.arange(num + 1))), (num, num))
+        graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
         leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
