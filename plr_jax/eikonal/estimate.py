@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from plr_jax.eikonal.mesh import SampledSpace, even_depth
+from plr_jax.eikonal.mesh import even_depth
 from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, MotionCost, point_costs, pulled
 
 MOST_AXES = 3
+_COARSER = 2  # halvings: of much larger boxes, samples tell too little where there are no proofs
 _NEAR = 2  # nodes, on each side of the goal, from which one goes straight to it
 
 Fractions = Float[np.ndarray, "n dim"]
@@ -92,11 +93,11 @@ class GridEstimate:
 
 
 def swept_estimate(
-    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_nodes: int
+    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], max_boxes: int
 ) -> GridEstimate:
     """The estimate on a grid of at most so many boxes, about equally wide along every axis."""
     domain, motion = space.domain, space.motion_cost
-    depth = even_depth(domain, motion.scale, num_nodes, num_nodes)
+    depth = even_depth(domain, motion.scale, max_boxes, max_boxes)
     periodic = np.array(domain.periodic)
     shape = tuple(((1 << depth) + ~periodic).tolist())
     box = _box_states(space, depth)
@@ -157,8 +158,7 @@ def _scaled(
 
 def _box_states(space: ConfigurationSpace, depth: Int[np.ndarray, "dim"]) -> Int8[np.ndarray, "*boxes"]:
     """What is proven of the boxes between nodes: of the mixed ones of a coarser grid, part by part."""
-    is_proven = not isinstance(space, SampledSpace)  # of which large boxes tell little
-    at = np.maximum(depth - depth.max(), 0) if is_proven else depth
+    at = np.maximum(depth - _COARSER, 0)
     state = np.full(tuple(1 << at), CellState.MIXED, np.int8)
     while True:
         mixed = np.argwhere(state == CellState.MIXED)

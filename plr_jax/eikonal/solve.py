@@ -117,7 +117,7 @@ def _intersections(
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}
 _MAX_CELLS_BEYOND = 50_000
-_NODES_PER_CELL = 4  # of the grid of the estimate
+_BOXES_PER_CELL = 4  # of the grid of the estimate
 _BESIDE = 1e-6  # of the domain, by which a goal that is free to a tolerance may be outside
 
 
@@ -153,9 +153,9 @@ def solve_eikonal(
             from what was found on the cells. None: a leaf a cell, in as many bytes as that takes.
         tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
             in units of cost, at least 0; None: 0, so that all of ``max_leaves`` are used.
-        certified: Whether bounds are proven. If not, the PLR is an estimate alone, found by sweeps over a grid within
-            milliseconds, but for their compilation (beyond three axes: in the same way and time as with bounds); its
-            cells are about equally wide along every axis, and ``tolerance`` does not matter.
+        certified: Whether bounds are proven. If not, of up to three axes, the PLR is an estimate alone, found by
+            sweeps over a grid, once these are compiled within a fraction of a second. Its cells are about equally
+            wide along every axis, and there is no ``tolerance``.
         seed: Seed of samples.
 
     Returns:
@@ -167,6 +167,7 @@ def solve_eikonal(
     Raises:
         ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or
             too small (for one leaf, for four cells along each periodic axis, or so that open cells have no sample),
+            ``certified=False`` comes with more than three axes or a tolerance,
             bounds of the cost map are not positive and finite, or it is directional and the space's cost no length.
 
     References:
@@ -182,12 +183,16 @@ def solve_eikonal(
         most = int(max_leaves)
     if max_bytes is not None:
         require_integer("max_bytes", max_bytes, 1)
-    certified = as_bool("certified", certified)
+    if not as_bool("certified", certified) and (space.domain.dim > MOST_AXES or tolerance is not None):
+        got = f"{space.domain.dim} axes" + ("" if tolerance is None else f" and tolerance={tolerance}")
+        raise ValueError(
+            f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
+        )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
     at = _fraction(space, goal)
-    is_proven = isinstance(space, ConfigurationSpace) and certified
+    is_proven = isinstance(space, ConfigurationSpace)
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
-    if certified or space.domain.dim > MOST_AXES:
+    if certified:
         field = _field(cells, cost_map, at, most, tolerance)
         estimate, proven = field.estimate, field if is_proven else None
     else:
@@ -214,7 +219,7 @@ def _swept(
 ) -> MeshEstimate:
     """The estimate alone, on cells that are about equally wide along every axis."""
     mesh = coarse_mesh(space, space.motion_cost.scale, most, most)
-    costs = swept_estimate(space, cost_map, goal, _NODES_PER_CELL * most)(mesh.nodes)
+    costs = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)(mesh.nodes)
     is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
     mesh = mesh.without(np.logical_not(is_reached))
     return MeshEstimate.of_nodes(mesh, costs)
@@ -237,6 +242,6 @@ def _field(
         paths = shortest_paths(mesh, program.costs, goal, space)
         likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
     else:
-        guide = swept_estimate(space, cost_map, goal, _NODES_PER_CELL * most)
+        guide = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)
         paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(mesh.nodes)
     return CostToGoField(program, solver.values, paths, likely, space)

@@ -58,6 +58,13 @@ def test_estimates_alone_are_near_and_nothing_is_proven_of_them(space):
     assert np.abs(np.asarray(small(x)) - distance).mean() < 0.05 * distance.mean()
 
 
+def test_estimates_alone_are_of_few_axes_and_have_no_tolerance():
+    with pytest.raises(ValueError, match=r"got 2 axes and tolerance=0\.1"):
+        solve_eikonal(EMPTY, GOAL, certified=False, tolerance=0.1)
+    with pytest.raises(ValueError, match=r"up to 3 axes.*got 4 axes"):
+        solve_eikonal(BoxSpace(Box((0,) * 4, (1,) * 4)), np.full(4, 0.5), certified=False)
+
+
 def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
     """The speed is linear, so that paths are arcs."""
     speed = lambda q: 0.5 + 3 * q[:, 1]  # noqa: E731
