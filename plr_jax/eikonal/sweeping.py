@@ -270,7 +270,7 @@ def _cheapest(
     steps = offsets.T.reshape(metric.dim, -1, *[1] * len(shape)).astype(np.float32)
     totals = total(steps, before.ratio, beside)
     best = jnp.argmin(totals, axis=0)
-    least, way = jnp.min(totals, axis=0), jnp.moveaxis(jnp.asarray(steps.reshape(metric.dim, -1))[:, best], 0, 0)
+    least, way = jnp.min(totals, axis=0), jnp.asarray(steps.reshape(metric.dim, -1))[:, best]
 
     # To between them, by Newton's method along all axes of the plane at once. Costs that depend on which way one goes
     # have kinks: where it leaves what is known to hold the best step along an axis, that is halved.
@@ -279,6 +279,7 @@ def _cheapest(
     middle = row[tuple(center)]
     is_known = jnp.isfinite(before.ratio[middle])
     ratio = jnp.where(is_known, before.ratio[middle], 0.0)
+    at_middle = _row(beside, middle, len(shape))
     lines = {}
     for axis, bends in zip([each for each in axes if each != across], before.bends, strict=True):
         ends = {side: row[tuple(side if each == axis else center[each] for each in axes)] for side in (1, -1)}
@@ -286,47 +287,36 @@ def _cheapest(
         both = has[1] & has[-1]
         rises = {side: jnp.where(has[side], before.ratio[end] - ratio, 0.0) for side, end in ends.items()}
         halves = {side: jnp.where(both, _lesser(bends[0], bends[side]) / 2, 0.0) for side in ends}
-        weights = {side: jnp.where(both, 0.5, 1.0) * has[side] * side for side in ends}
+        share = 1 / jnp.maximum(has[1] + 1.0 * has[-1], 1.0)
         costs_rise = jax.tree.map(
-            lambda of, at, ends=ends, weights=weights: sum(
-                weight * (of[..., ends[side], *[slice(None)] * len(shape)] - at) for side, weight in weights.items()
+            lambda middle, up, down, has=has, share=share: (
+                share * (has[1] * (up - middle) + has[-1] * (middle - down))
             ),
-            beside,
-            _row(beside, middle, len(shape)),
+            at_middle,
+            *(_row(beside, end, len(shape)) for end in ends.values()),
         )
-        lines[axis] = rises, halves, costs_rise, has
-
-    def along(axis, step):
-        """The change of the ratio along an axis, and its first and second derivative."""
-        rises, halves, *_ = lines[axis]
-        up, distance = step > 0, jnp.abs(step)
-        rise, half = (jnp.where(up, each[1], each[-1]) for each in (rises, halves))
-        value = distance * (rise - (1 - distance) * half)
-        slope = {side: side * (rises[side] - (1 - 2 * distance) * halves[side]) for side in (1, -1)}
-        has = lines[axis][3]
-        at_node = (slope[1] * has[1] + slope[-1] * has[-1]) / jnp.maximum(has[1] + 1.0 * has[-1], 1.0)
-        return value, jnp.where(step == 0, at_node, jnp.where(up, slope[1], slope[-1])), 2 * half
+        lines[axis] = _Line(rises, halves, has, share, costs_rise)
 
     def interpolated(steps):
-        value, cost = ratio, _row(beside, middle, len(shape))
-        for axis, (*_, costs_rise, _has) in lines.items():
-            value = value + along(axis, steps[axis])[0]
-            cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, costs_rise)
+        value, cost = ratio, at_middle
+        for axis, line in lines.items():
+            value = value + line.change(steps[axis])
+            cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, line.costs_rise)
         return value, cost
 
     steps = [jnp.full(shape, float(step)) for step in center]
     brackets = {
-        axis: (jnp.where(has[-1], -1.0, 0.0), jnp.where(has[1], 1.0, 0.0)) for axis, (*_, has) in lines.items()
+        axis: (jnp.where(line.has[-1], -1.0, 0.0), jnp.where(line.has[1], 1.0, 0.0)) for axis, line in lines.items()
     }
     for _ in range(_NEWTON_STEPS):
         value, cost = interpolated(steps)
         change = [spacing[axis] * steps[axis] for axis in axes]
         end = _to_goal(metric, spacing, place, change)
         straight, new = grid.straight.of(metric, end), list(steps)
-        for axis, (*_, costs_rise, _has) in lines.items():
-            h, (_, slope, bend) = spacing[axis], along(axis, steps[axis])
+        for axis, line in lines.items():
+            h, (slope, bend) = spacing[axis], line.derivatives(steps[axis])
             of_end, of_cost = grid.straight.derivatives(metric, end, axis), cost.derivatives(metric, change, axis)
-            first = slope * straight + h * (of_cost[0] - value * of_end[0]) + costs_rise.of(metric, change)
+            first = slope * straight + h * (of_cost[0] - value * of_end[0]) + line.costs_rise.of(metric, change)
             second = bend * straight - 2 * slope * h * of_end[0] + h**2 * (value * of_end[1] + of_cost[1])
             floor = _LEAST_CURVATURE * h**2 * costs.factor / spacing[across]
             low = jnp.where(first > 0, brackets[axis][0], steps[axis])
@@ -339,6 +329,36 @@ def _cheapest(
     way = jnp.where(value < least, jnp.stack(steps), way)
     straight = grid.straight.of(metric, _to_goal(metric, spacing, place, [0.0] * metric.dim))
     return jnp.where(straight > _TINY, jnp.minimum(least, value) / straight, jnp.inf), way
+
+
+class _Line(NamedTuple):
+    """What is between a node and its two neighbors along an axis: two halves of parabolas, by side, up 1 and down -1.
+
+    Attributes:
+        rises: What the ratio of the neighbor is above the node's.
+        halves: Half the second difference of ratios.
+        has: Whether there is a way to the neighbor.
+        share: 1 over the number of neighbors with one.
+        costs_rise: What costs rise by upward.
+    """
+
+    rises: dict[int, Plane]
+    halves: dict[int, Plane]
+    has: dict[int, Bool[Array, "*plane"]]
+    share: Plane
+    costs_rise: NodeCosts
+
+    def change(self, step: Plane) -> Plane:
+        """What the ratio changes by on the way."""
+        rise, half = (jnp.where(step > 0, each[1], each[-1]) for each in (self.rises, self.halves))
+        return jnp.abs(step) * (rise - (1 - jnp.abs(step)) * half)
+
+    def derivatives(self, step: Plane) -> tuple[Plane, Plane]:
+        """The first and the second one of that; at the node the mean of both sides."""
+        up, down = (side * (self.rises[side] - (1 - 2 * jnp.abs(step)) * self.halves[side]) for side in (1, -1))
+        at_node = self.share * (up * self.has[1] + down * self.has[-1])
+        slope = jnp.where(step == 0, at_node, jnp.where(step > 0, up, down))
+        return slope, 2 * jnp.where(step > 0, self.halves[1], self.halves[-1])
 
 
 def _row(costs: NodeCosts, row: int, dim: int) -> NodeCosts:
