@@ -12,6 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from plr_jax._arrays import as_finite_point, as_points, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.plot._page import INK, axis_label, new_axes_3d
 from plr_jax.plot._paths import color_of
 
@@ -41,16 +42,11 @@ def plot_volume(
         The axes. Faces of blocked voxels in the faces of the bounds are left out: one sees into a closed room.
 
     Raises:
-        ValueError: If ``free`` are no bools of three axes, more than 50,000 faces of voxels would be drawn, or a path
-            or the goal has another shape or is not finite.
+        ValueError: If ``free`` are no bools of three axes or none is free, the bounds are no box of three axes, more
+            than 50,000 faces of voxels would be drawn, or a path or the goal has another shape or is not finite.
     """
-    voxels = np.asarray(free)
-    if voxels.ndim != 3 or voxels.dtype != bool or not voxels.size:
-        raise ValueError(f"free must be bools of three axes, got {voxels.dtype} of shape {voxels.shape}.")
-    box = Box((0, 0, 0), voxels.shape) if bounds is None else Box.of(bounds, "bounds")
-    if box.dim != 3:
-        raise ValueError(f"bounds must be a Box of three axes, got {shortened(bounds)}.")
-    faces = _surface(voxels)
+    grid = VoxelGrid.of(free, bounds, range(3, 4))
+    box, faces = grid.bounds, _surface(grid.free)
     if len(faces) > _MOST_FACES:
         raise ValueError(
             f"The blocked voxels have {len(faces):,} faces, more than {_MOST_FACES:,}: give fewer voxels, such as "
@@ -58,7 +54,7 @@ def plot_volume(
         )
     ax = _new_axes(box) if ax is None else ax
     ax.set(xlim=(box.lo[0], box.hi[0]), ylim=(box.lo[1], box.hi[1]), zlim=(box.lo[2], box.hi[2]))
-    corners = box.lo + box.width / voxels.shape * faces
+    corners = box.lo + grid.sides * faces
     if len(corners):
         ax.add_collection3d(
             Poly3DCollection(

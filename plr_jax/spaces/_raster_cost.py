@@ -13,8 +13,9 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._costmap_2d import costmap_factors, grid_costs, inflated_factors, with_nearest_factors
 from plr_jax.spaces._costs import Rates, Vectors
-from plr_jax.spaces._space import ConfigurationSpace, as_boxes
+from plr_jax.spaces._space import as_boxes
 from plr_jax.spaces._sparse_table import SparseTable
+from plr_jax.spaces._voxels import VoxelSpace
 
 _MOST_AXES = 4
 _LEAST_FACTOR, _LARGEST_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
@@ -197,7 +198,7 @@ class RasterCost:
         """Which cells are not blocked, in the order of the values."""
         return np.isfinite(self.values)
 
-    def space(self, radius: float | int = 0.0) -> ConfigurationSpace:
+    def space(self, radius: float | int = 0.0) -> VoxelSpace:
         """The configuration space of what is not blocked.
 
         Args:
@@ -209,9 +210,7 @@ class RasterCost:
         Raises:
             ValueError: If the radius is no such number, or an axis is periodic.
         """
-        from plr_jax.spaces._voxels import VoxelSpace  # pyright: ignore[reportMissingImports]
-
-        return VoxelSpace(np.ascontiguousarray(self.free.T), self.domain, radius)
+        return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """The factor at configurations.

@@ -177,7 +177,6 @@ def test_what_is_no_raster_is_refused(arguments, message):
 
 @pytest.mark.parametrize("shape", [(7,), (6, 9), (4, 5, 6)], ids=str)
 def test_the_space_is_that_of_the_cells_that_are_not_blocked(shape):
-    pytest.importorskip("plr_jax.spaces._voxels")
     cost = random_raster(shape)
     x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (500, len(shape)))
     cell = np.floor((x - cost.domain.lo) / cost.domain.width * shape[::-1]).astype(int)
