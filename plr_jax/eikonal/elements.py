@@ -17,16 +17,20 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.faces import eliminated, resolve
+from plr_jax.plr.partition.cells import corner_bits
+from plr_jax.plr.partition.faces import eliminated, face_points, resolve
 
 
 class _Ties(NamedTuple):
-    """Nodes that are one with a node of another cell, and nodes that lie on another cell's face elsewhere."""
+    """Nodes that are one with a node of another cell, nodes that lie on another cell's face elsewhere, and corners of
+    what two cells have in common of a face that are nodes of neither."""
 
     same: Int[np.ndarray, "2 pairs"]
     hanging: Int[np.ndarray, "m"]
     on_cell: Int[np.ndarray, "m"]
     at: Float[np.ndarray, "m dim"]
+    crossing: Int[np.ndarray, "2 k"]
+    places: Float[np.ndarray, "2 k dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +151,23 @@ def _resolved(
     is_free = np.ones(num_groups)
     is_free[hanging] = 0
     resolved = resolve(csr_array((weight[first].ravel(), where), shape), is_free)
-    again = np.setdiff1d(np.arange(len(on)), first)
-    if mesh.dim <= 2 or not len(again):
+    if mesh.dim <= 2:
         return resolved
-    # Between blocked cells a node may hang on two cells of which neither implies the other.
-    row, num = np.repeat(np.arange(len(again)), size), len(again)
-    value = csr_array((np.ones(num), (np.arange(num), group[ties.hanging[again]])), (num, num_groups))
-    rows = csr_array((value - csr_array((weight[again].ravel(), (row, on[again].ravel())), value.shape)) @ resolved)
+    # Between blocked cells a node may hang on two cells of which neither implies the other, and where cells that are
+    # long along different axes meet, a corner of what they have in common is a node of neither.
+    again = np.setdiff1d(np.arange(len(on)), first)
+    cell, node = np.divmod(ties.hanging[again], size)
+    here = np.append(cell, ties.crossing[0]), np.append(_lattice(degree, mesh.dim)[node], ties.places[0], axis=0)
+    there = np.append(ties.on_cell[again], ties.crossing[1]), np.append(ties.at[again], ties.places[1], axis=0)
+    if not len(here[0]):
+        return resolved
+    values = []
+    for cells, t in (here, there):
+        where = np.repeat(np.arange(len(t)), size), group[cells[:, None] * size + np.arange(size)].ravel()
+        values.append(csr_array((basis(degree, t).ravel(), where), (len(t), num_groups)))
     depth = np.zeros(num_groups, np.int64)
     np.maximum.at(depth, group, np.repeat(mesh.cells.depth.sum(axis=1), size))
+    rows = csr_array((values[0] - values[1]) @ resolved)
     return csr_array(resolved @ eliminated(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
 
 
@@ -165,7 +177,7 @@ def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:
 
 def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _Ties:
     place = (degree + 1) ** np.arange(mesh.dim)[::-1]
-    same, hanging, on_cell, at = [], [], [], []
+    same, hanging, on_cell, at, crossing, places = [], [], [], [], [], []
     for axis in range(mesh.dim):
         faces = mesh.faces[mesh.faces.axis == axis]
         for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
@@ -180,4 +192,16 @@ def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _
             hanging.append(node[~is_node])
             on_cell.append(other[face[~is_node]])
             at.append(where[~is_node])
-    return _Ties(np.concatenate(same, axis=1), *(np.concatenate(part) for part in (hanging, on_cell, at)))
+        depth = mesh.cells.depth[faces.lower] - mesh.cells.depth[faces.upper]
+        depth[:, axis] = 0
+        faces = faces[(depth.min(axis=1) < 0) & (depth.max(axis=1) > 0)]
+        bits = corner_bits(mesh.dim)
+        x = face_points(mesh.cells, faces, bits[bits[:, axis] == 0].astype(float)).reshape(-1, mesh.dim)
+        pair = np.repeat(np.stack([faces.lower, faces.upper]), len(bits) // 2, axis=1)
+        t = mesh.local(pair, x[None])
+        t[:, :, axis] = [[1.0], [0.0]]
+        is_end = ((t == 0) | (t == 1)).all(axis=2)
+        crossing.append(pair[:, ~is_end.any(axis=0)])
+        places.append(t[:, ~is_end.any(axis=0)])
+    ends = (np.concatenate(part, axis=1) for part in (crossing, places))
+    return _Ties(np.concatenate(same, axis=1), *(np.concatenate(part) for part in (hanging, on_cell, at)), *ends)

@@ -177,7 +177,36 @@ class CostToGoField:
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))
+        x = mesh.fractions(cell[:, None], at)
+        for target in self._targets[:, cell]:
+            change = (self.paths.points[target, None] - x) * mesh.domain.width
+            straight = self.program.costs.motion.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
+            above = self.paths.cost[target, None] + straight - function
+            above[target < 0] = np.inf
+            most = np.minimum(most, above[:, vertices].max(axis=2))
         return most.max(axis=1) + self._spare[cell]
+
+    @cached_property
+    def _targets(self) -> Int[np.ndarray, "targets cells"]:
+        """Nodes on the way from corners of cells, or the goal, that are seen from everywhere in a cell; -1 for none.
+
+        They are if a box that holds both is free.
+        """
+        mesh, paths = self.mesh, self.paths
+        if self.program.costs.cost_map is not None:
+            return np.full((0, len(mesh.state)), -1)
+        cells, costs = np.arange(len(mesh.state)), self._corner_costs
+        nearest, farthest = (mesh.corners[cells, corner] for corner in (costs.argmin(axis=1), costs.argmax(axis=1)))
+        ahead = paths.next[nearest]
+        target = np.stack([ahead, paths.next[ahead], paths.next[farthest]])
+        which, cell = np.nonzero(np.isfinite(costs).any(axis=1) & (mesh.state == CellState.FREE) & (target >= 0))
+        place = mesh.domain.lo + mesh.domain.width * paths.points[target[which, cell]]
+        lo, hi = mesh.grown_boxes
+        hull = np.minimum(lo[cell], place), np.maximum(hi[cell], place)
+        hidden = self.space.classify(*hull) != CellState.FREE
+        target[which[hidden], cell[hidden]] = -1
+        target[:, mesh.state != CellState.FREE] = -1
+        return target
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:

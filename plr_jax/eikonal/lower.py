@@ -78,11 +78,15 @@ class SlopeSolver:
         """Solve, refine where the flow loses most, and solve again, to the limit; then once more, thoroughly."""
         self._iterate = self.program.solve(_FIRST, self.program.zero(), _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
-        while len(which := self._marked()):
-            finer = self._program(self.mesh.refined(which, self.space))
+        parts = 2**self.mesh.dim - 1  # that one cell becomes more, at the most
+        while True:
+            which, room = self._marked(parts)
+            if not len(which) or room < parts:
+                break
+            finer = self._program(self.mesh.refined(which, self.space, room))
             iterate = _prolonged(self.program, self._iterate, finer)
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
-            if len(finer.space.mesh.state) + 2**self.mesh.dim - 1 <= self.max_cells:
+            if len(finer.space.mesh.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
             # What motions through cells are, for cells that were there before; MIXED for the others.
             fine = finer.space.mesh
@@ -130,22 +134,19 @@ class SlopeSolver:
         share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
         return np.where(mesh.state[mesh.open_cells] == CellState.MIXED, np.clip(share, 1.0, _DETOUR), 1.0) * loss
 
-    def _marked(self) -> Int[np.ndarray, "some"]:
-        """The cells that lose most, to be refined next."""
-        mesh, num_cells, parts = self.mesh, len(self.mesh.state), 2**self.mesh.dim - 1
-        if num_cells + parts > self.max_cells:
-            return np.zeros(0, np.int64)
+    def _marked(self, parts: int) -> tuple[Int[np.ndarray, "some"], int]:
+        """The cells to be refined, first those that lose most, and how many cells may come of it."""
+        mesh, num_cells = self.mesh, len(self.mesh.state)
         assert self._iterate is not None
         loss, at_goal = self._losses(), loss_at_goal(self.program, self._iterate, self.goal)
         if max(loss.sum(), at_goal) <= self.tolerance * self.program.weight.sum():
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), 0
         is_first = (mesh.open_cells == mesh.locate(self.goal[None])) & (at_goal > loss)
-        order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")
-        enough = np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1
-        least, most = (int((growth - 1) * num_cells / parts) for growth in _GROWTH)
-        num = min(max(enough, least), most, (self.max_cells - num_cells) // parts, np.count_nonzero(loss + is_first))
+        order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
+        enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)
+        least, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
         deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
-        return mesh.open_cells[order[~deepest][: max(num, 0)]]
+        return mesh.open_cells[order[~deepest]], int(min(max(enough, least), most, self.max_cells - num_cells))
 
 
 def slope_program(

@@ -25,7 +25,9 @@ from plr_jax.spaces import (
     pulled,
 )
 
-_OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_curve", "_splits", "_spread", "_corners")
+_OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_coarse", "_corners")
+_COARSE = 4  # boxes a cell, at most, of the grid from whose boxes points are located
+_LONG = 0.7  # of the width along the axis along which a cell is widest
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
 
 
@@ -132,8 +134,8 @@ class Mesh:
         """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
-        first, cell = self._curve
-        return cell[np.searchsorted(first, self._along_curve(slot), side="right") - 1]
+        depth, node = self._coarse
+        return self.tree.leaf_of_node[self._descended(node[tuple((slot >> (self._finest - depth)).T)], slot)]
 
     @cached_property
     def _finest(self) -> Int[np.ndarray, "dim"]:
@@ -141,35 +143,32 @@ class Mesh:
         return self.cells.depth.max(axis=0)
 
     @cached_property
-    def _curve(self) -> tuple[Int[np.ndarray, "cells"], Int[np.ndarray, "cells"]]:
-        """Where cells begin along a curve that fills them one after the other, and the cells in this order."""
-        first = self._along_curve(self.cells.position << (self._finest - self.cells.depth))
-        order = np.argsort(first)
-        return first[order], order
+    def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
+        """A grid, how often it halves each axis, and the smallest node of the tree that holds each of its boxes."""
+        depth = np.zeros(self.dim, np.int64)
+        while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
+            depth[np.argmax(self._finest - depth)] += 1
+        shape = tuple(1 << depth)
+        box = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
+        node = self._descended(np.zeros(len(box), np.int64), box << (self._finest - depth), depth)
+        return depth, node.reshape(shape)
 
-    def _along_curve(self, slot: Int[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        """Where slots as wide as the smallest cells are along the curve: row by row of the largest, then Morton's.
-
-        References:
-            Morton, "A computer oriented geodetic data base and a new technique in file sequencing", 1966.
-        """
-        splits = self._splits
-        place = np.asarray(np.ravel_multi_index(tuple((slot >> splits).T), tuple(1 << (self._finest - splits))))
-        place <<= self.dim * splits
-        for axis in range(self.dim):
-            place += self._spread[slot[:, axis] & ((1 << splits) - 1)] << axis
-        return place
-
-    @cached_property
-    def _splits(self) -> int:
-        """How often the smallest cells are halved more than the largest."""
-        return int((self._finest - self.cells.depth.min(axis=0)).max())
-
-    @cached_property
-    def _spread(self) -> Int[np.ndarray, "numbers"]:
-        """Numbers whose bits are so far apart that those of each axis fit in between."""
-        bit = np.arange(self._splits)
-        return (((np.arange(1 << self._splits)[:, None] >> bit) & 1) << self.dim * bit).sum(axis=1)
+    def _descended(
+        self,
+        node: Int[np.ndarray, "n"],
+        slot: Int[np.ndarray, "n dim"],
+        most: Int[np.ndarray, "dim"] | None = None,
+    ) -> Int[np.ndarray, "n"]:
+        """The leaves below nodes that hold slots as wide as the smallest cells, or nodes halved no more than so often."""
+        tree, row, node = self.tree, np.arange(len(node)), node.copy()
+        while True:
+            at, axis = node[row], tree.axis[node[row]]
+            depth = tree.cells.depth[at, axis]
+            below = tree.child[at] >= 0 if most is None else (tree.child[at] >= 0) & (depth < most[axis])
+            row, at, axis, depth = row[below], at[below], axis[below], depth[below]
+            if not len(row):
+                return node
+            node[row] = tree.child[at] + (slot[row, axis] >> (self._finest[axis] - depth - 1) & 1)
 
     def connected_to(self, cell: int) -> Bool[np.ndarray, "cells"]:
         """Which cells are connected to one by open faces."""
@@ -188,14 +187,57 @@ class Mesh:
         vars(mesh).update({name: vars(self)[name] for name in _OF_CELLS if name in vars(self)})
         return mesh
 
-    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> "Mesh":
-        """The mesh with some cells halved along every axis; the parts of mixed ones are classified anew."""
+    def refined(
+        self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None
+    ) -> "Mesh":
+        """The mesh with some cells halved along all axes along which they are about as wide as along any.
+
+        A mixed one is halved along one axis alone where that makes a half which is proven free or blocked: so what
+        is flush with halves of cells takes few of them.
+
+        Args:
+            which: The cells, first those that are refined first.
+            space: The configuration space.
+            room: Most cells to add; None: all cells are refined.
+        """
+        parts, states, num, most = [], [], 0, 2**self.dim - 1  # that one adds
+        while num < len(which) and (room is None or room >= most):
+            batch = which[num:] if room is None else which[num : num + room // most]
+            children, state = self._parts(batch, space)
+            parts.append(children)
+            states.append(state)
+            num += len(batch)
+            room = None if room is None else room - len(children) + len(batch)
         stays = np.ones(len(self.state), bool)
-        stays[which] = False
-        children, state = _split(self.cells[which]), np.repeat(self.state[which], 2**self.dim)
-        mixed = state == CellState.MIXED
-        state[mixed] = _classify(children[mixed], self.domain, space)
-        return _mesh(self.domain, self.cells[stays].append(children), np.append(self.state[stays], state))
+        stays[which[:num]] = False
+        return _mesh(self.domain, self.cells[stays].append(*parts), np.concatenate([self.state[stays], *states]))
+
+    def _parts(
+        self, which: Int[np.ndarray, "some"], space: ConfigurationSpace
+    ) -> tuple[Cells, Int8[np.ndarray, "parts"]]:
+        """What some cells are refined into, and what is proven of it."""
+        cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
+        state = np.repeat(self.state[which, None], len(bits), axis=1)  # of their parts, halved along all axes
+        state[mixed] = _classify(_split(cells[mixed]), self.domain, space).reshape(-1, len(bits))
+        width = self.widths[which] * space.motion_cost.scale
+        width = width / width.max(axis=1, keepdims=True)
+        halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
+        is_proven = (halves == halves[:, :, :1]).all(axis=2) & (halves[:, :, 0] != CellState.MIXED)
+        proven = is_proven.reshape(len(which), self.dim, 2).sum(axis=2)
+        best = np.argmax(proven + width / 2, axis=1)
+        alone = mixed & proven.any(axis=1)
+        halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
+        # Which parts are one, as their cell is halved along some axes alone.
+        weight = 1 << np.arange(self.dim)[::-1]
+        one = np.arange(len(bits)) & (halved @ weight)[:, None]
+        key, of_part = np.unique(np.arange(len(which))[:, None] * len(bits) + one, return_inverse=True)
+        least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
+        np.minimum.at(least, of_part.ravel(), state.ravel())
+        np.maximum.at(most, of_part.ravel(), state.ravel())
+        cell, part = np.divmod(key, len(bits))
+        depth = cells.depth[cell] + halved[cell]
+        parts = Cells(depth, (cells.position[cell] << halved[cell]) + bits[part])
+        return parts, np.where(least == most, least, np.int8(CellState.MIXED))
 
 
 def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:

@@ -168,9 +168,12 @@ class _FreeGraph:
                 hangs = (
                     (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1) & is_free[cell] & is_free[other]
                 )
-                on_face = np.flatnonzero(bits == end)
-                nodes.append(mesh.corners[cell[hangs]][:, on_face].ravel())
-                cells.append(np.repeat(other[hangs], len(on_face)))
+                on_face = mesh.corners[cell[hangs]][:, bits == end]
+                of = np.repeat(other[hangs], on_face.shape[1])
+                t = mesh.within(of, self.points[on_face.ravel()])
+                touches = ((t >= 0) & (t <= 1)).all(axis=1)  # beyond are corners where long cells cross
+                nodes.append(on_face.ravel()[touches])
+                cells.append(of[touches])
         hanging = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         cell, node = np.divmod(hanging, len(self.points))
         num, free = mesh.corners.shape[1], np.flatnonzero(is_free)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from pyamg import ruge_stuben_solver
+from pyamg import smoothed_aggregation_solver
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
 from scipy.sparse.linalg import cg, splu
 
@@ -141,7 +141,8 @@ _GAIN = 1e-4  # share by which values have to rise
 _PATIENCE = 30  # iterations in which they do not, after which they have converged
 _RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
 _MOST_STEPS = 50  # of conjugate gradients
-_COARSEST_GRID = 500  # unknowns of multigrid's smallest equations
+_MOST_FACTORED = 100_000  # unknowns in space
+_COARSEST_GRID = 100  # unknowns of multigrid's smallest equations
 
 Flow = Float[np.ndarray, "dim controls"]
 
@@ -305,8 +306,8 @@ class _Splitting:
 class _Poisson:
     """The equation of an iteration; one degree of freedom is held at 0.
 
-    In the plane its matrix is factored. Beyond, where factors fill up, conjugate gradients with algebraic multigrid
-    go on from a guess, until a share of its residual is left.
+    In few dimensions its matrix is factored. Beyond, where factors fill up, conjugate gradients with algebraic
+    multigrid go on from a guess, until a share of its residual is left.
     """
 
     def __init__(self, program: SlopeProgram, penalty: Float[np.ndarray, "controls"]):
@@ -314,11 +315,11 @@ class _Poisson:
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         self.matrix = csr_matrix((self.divergence @ program.gradient)[1:, 1:])
         self._factors: Any = None
-        if program.dim <= 2:
+        if program.dim <= 2 or (program.dim == 3 and self.matrix.shape[0] <= _MOST_FACTORED):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:
-            self._multigrid = ruge_stuben_solver(self.matrix, max_coarse=_COARSEST_GRID).aspreconditioner()
+            self._multigrid = smoothed_aggregation_solver(self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None).aspreconditioner()
 
     def solve(
         self, load: Float[np.ndarray, "dofs"], field: Flow, guess: Float[np.ndarray, "dofs"]

@@ -96,6 +96,7 @@ def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
+    uses: dict[int, set[int]] = {}  # which of these combinations a group was put into
     rows.data[np.abs(rows.data) <= ZERO] = 0
     rows.eliminate_zeros()
     work = 0
@@ -109,10 +110,12 @@ def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
         scale = row.pop(pivot)
         solution = {index: -weight / scale for index, weight in row.items()}
-        for other in solved.values():
-            if pivot in other:
-                work += _add(other, other.pop(pivot), solution)
+        users = [pivot, *(user for user in uses.pop(pivot, ()) if pivot in solved[user])]
         solved[pivot] = solution
+        for user in users[1:]:
+            work += _add(solved[user], solved[user].pop(pivot), solution)
+        for index in solution:
+            uses.setdefault(index, set()).update(users)
     table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
     group, index, weight = np.array(table).reshape(-1, 3).T
     kept = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
