@@ -71,7 +71,7 @@ def random_mesh(seed, dim, *, rounds=3, blocked=0.3, periodic=None):
 
 def mesh_of(domain, cells, state):
     tree = tree_of(cells)
-    return Mesh(domain, tree, state[tree.order])
+    return Mesh(domain, tree, state[tree.order], np.zeros(len(state), bool))
 
 
 def halved(cells):

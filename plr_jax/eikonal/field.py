@@ -199,14 +199,14 @@ class CostToGoField:
         nearest, farthest = (mesh.corners[cells, corner] for corner in (costs.argmin(axis=1), costs.argmax(axis=1)))
         ahead = paths.next[nearest]
         target = np.stack([ahead, paths.next[ahead], paths.next[farthest]])
-        which, cell = np.nonzero(np.isfinite(costs).any(axis=1) & (mesh.state == CellState.FREE) & (target >= 0))
-        place = mesh.domain.lo + mesh.domain.width * paths.points[target[which, cell]]
-        lo, hi = mesh.grown_boxes
-        hull = np.minimum(lo[cell], place), np.maximum(hi[cell], place)
-        hidden = self.space.classify(*hull) != CellState.FREE
-        target[which[hidden], cell[hidden]] = -1
-        target[:, mesh.state != CellState.FREE] = -1
-        return target
+        free = np.flatnonzero(np.isfinite(costs).any(axis=1) & (mesh.state == CellState.FREE))
+        place = mesh.domain.lo + mesh.domain.width * paths.points[target[:, free]]
+        lo, hi = (np.broadcast_to(end[free], place.shape) for end in mesh.grown_boxes)
+        hull = np.minimum(lo, place).reshape(-1, mesh.dim), np.maximum(hi, place).reshape(-1, mesh.dim)
+        sees = (self.space.classify(*hull) == CellState.FREE).reshape(3, -1)
+        seen = np.full_like(target, -1)
+        seen[:, free] = np.where(sees, target[:, free], -1)
+        return seen
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
+from plr_jax.eikonal.contacts import with_open_contacts
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, cell_costs, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs
@@ -158,6 +159,7 @@ def slope_program(
         state = mesh.state.copy()
         state[home] = CellState.MIXED
         mesh = mesh.with_state(state)
+    mesh = with_open_contacts(mesh, space)
     mesh = mesh.without(~mesh.connected_to(int(home[0])))
     # Of the polynomials: 2 errs far less for its cells, but takes too long in more than two dimensions.
     functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))

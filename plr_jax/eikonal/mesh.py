@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
-from plr_jax.plr.partition.faces import SharedFaces, shared_faces
+from plr_jax.plr.partition.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.sampling.cell_fit import sample_pattern
 from plr_jax.spaces import (
     CellState,
@@ -39,11 +39,14 @@ class Mesh:
         domain: What they fill.
         tree: Their tree.
         state: What is proven of each, as :class:`CellState` has it.
+        is_flush: Which are blocked, but flush with free space, so that a query, which rounds, may place free points
+            in them. They answer as what is beside them does.
     """
 
     domain: Box
     tree: Tree
     state: Int8[np.ndarray, "cells"]
+    is_flush: Bool[np.ndarray, "cells"]
 
     @property
     def dim(self) -> int:
@@ -59,6 +62,12 @@ class Mesh:
     def open_cells(self) -> Int[np.ndarray, "open"]:
         """Those that are not blocked."""
         return np.flatnonzero(self.state != CellState.BLOCKED)
+
+    @cached_property
+    def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
+        """Flush cells, and cells that are not blocked and that they touch."""
+        flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
+        return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     @cached_property
     def faces(self) -> SharedFaces:
@@ -137,6 +146,11 @@ class Mesh:
         depth, node = self._coarse
         return self.tree.leaf_of_node[self._descended(node[tuple((slot >> (self._finest - depth)).T)], slot)]
 
+    @property
+    def inset(self) -> Float[np.ndarray, "dim"]:
+        """Of the domain, by what points may be moved from a face of cells into the cell beyond."""
+        return np.ldexp(0.25, -self._finest)
+
     @cached_property
     def _finest(self) -> Int[np.ndarray, "dim"]:
         """How often the smallest cells are halved along each axis."""
@@ -159,7 +173,7 @@ class Mesh:
         slot: Int[np.ndarray, "n dim"],
         most: Int[np.ndarray, "dim"] | None = None,
     ) -> Int[np.ndarray, "n"]:
-        """The leaves below nodes that hold slots as wide as the smallest cells, or nodes halved no more than so often."""
+        """The leaves below nodes that hold slots as wide as the smallest cells, or what is halved no more than so often."""
         tree, row, node = self.tree, np.arange(len(node)), node.copy()
         while True:
             at, axis = node[row], tree.axis[node[row]]
@@ -183,13 +197,11 @@ class Mesh:
 
     def with_state(self, state: Int8[np.ndarray, "cells"]) -> "Mesh":
         """The same cells, of which something else is said; what is known of the cells alone is not computed again."""
-        mesh = Mesh(self.domain, self.tree, state)
+        mesh = Mesh(self.domain, self.tree, state, self.is_flush)
         vars(mesh).update({name: vars(self)[name] for name in _OF_CELLS if name in vars(self)})
         return mesh
 
-    def refined(
-        self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None
-    ) -> "Mesh":
+    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
         """The mesh with some cells halved along all axes along which they are about as wide as along any.
 
         A mixed one is halved along one axis alone where that makes a half which is proven free or blocked: so what
@@ -200,25 +212,31 @@ class Mesh:
             space: The configuration space.
             room: Most cells to add; None: all cells are refined.
         """
-        parts, states, num, most = [], [], 0, 2**self.dim - 1  # that one adds
+        parts, known, num, most = [], [], 0, 2**self.dim - 1  # that one adds
         while num < len(which) and (room is None or room >= most):
             batch = which[num:] if room is None else which[num : num + room // most]
-            children, state = self._parts(batch, space)
+            children, *of_children = self._parts(batch, space)
             parts.append(children)
-            states.append(state)
+            known.append(of_children)
             num += len(batch)
             room = None if room is None else room - len(children) + len(batch)
         stays = np.ones(len(self.state), bool)
         stays[which[:num]] = False
-        return _mesh(self.domain, self.cells[stays].append(*parts), np.concatenate([self.state[stays], *states]))
+        known.insert(0, (self.state[stays], self.is_flush[stays]))
+        state, is_flush = (np.concatenate(each) for each in zip(*known, strict=True))
+        return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(
         self, which: Int[np.ndarray, "some"], space: ConfigurationSpace
-    ) -> tuple[Cells, Int8[np.ndarray, "parts"]]:
-        """What some cells are refined into, and what is proven of it."""
+    ) -> tuple[Cells, Int8[np.ndarray, "parts"], Bool[np.ndarray, "parts"]]:
+        """What some cells are refined into, what is proven of it, and what of it is flush with free space."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
         state = np.repeat(self.state[which, None], len(bits), axis=1)  # of their parts, halved along all axes
-        state[mixed] = _classify(_split(cells[mixed]), self.domain, space).reshape(-1, len(bits))
+        is_flush = np.zeros(state.shape, bool)
+        for known, of_parts in zip(
+            (state, is_flush), _classify(_split(cells[mixed]), self.domain, space), strict=True
+        ):
+            known[mixed] = of_parts.reshape(-1, len(bits))
         width = self.widths[which] * space.motion_cost.scale
         width = width / width.max(axis=1, keepdims=True)
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
@@ -237,7 +255,8 @@ class Mesh:
         cell, part = np.divmod(key, len(bits))
         depth = cells.depth[cell] + halved[cell]
         parts = Cells(depth, (cells.position[cell] << halved[cell]) + bits[part])
-        return parts, np.where(least == most, least, np.int8(CellState.MIXED))
+        state = np.where(least == most, least, np.int8(CellState.MIXED))
+        return parts, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
 
 
 def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
@@ -246,7 +265,7 @@ def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_
     position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
     position = position.reshape(-1, space.domain.dim)
     cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(space.domain, cells, _classify(cells, space.domain, space))
+    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
 
 
 def even_depth(
@@ -271,9 +290,9 @@ def even_depth(
     return depth
 
 
-def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"]) -> Mesh:
+def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"], is_flush: Bool[np.ndarray, "cells"]) -> Mesh:
     tree = tree_of(cells)
-    return Mesh(domain, tree, state[tree.order])
+    return Mesh(domain, tree, state[tree.order], is_flush[tree.order])
 
 
 def _split(cells: Cells) -> Cells:
@@ -282,15 +301,16 @@ def _split(cells: Cells) -> Cells:
     return cells
 
 
-def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> Int8[np.ndarray, "cells"]:
-    """What is proven of cells; blocked ones hold no free point that a query, which rounds, may place in them."""
+def _classify(
+    cells: Cells, domain: Box, space: ConfigurationSpace
+) -> tuple[Int8[np.ndarray, "cells"], Bool[np.ndarray, "cells"]]:
+    """What is proven of cells, and which are flush with free space: blocked, but not with what is beside them."""
     if not len(cells):
-        return np.zeros(0, np.int8)
+        return np.zeros(0, np.int8), np.zeros(0, bool)
     state = space.classify(*cells.boxes(domain))
-    blocked = np.flatnonzero(state == CellState.BLOCKED)
-    grown = space.classify(*_grown_boxes(cells[blocked], domain))
-    state[blocked] = np.where(grown == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
-    return state
+    is_flush, blocked = np.zeros(len(cells), bool), np.flatnonzero(state == CellState.BLOCKED)
+    is_flush[blocked] = space.classify(*_grown_boxes(cells[blocked], domain)) != CellState.BLOCKED
+    return state, is_flush
 
 
 def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:

@@ -319,7 +319,9 @@ class _Poisson:
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:
-            self._multigrid = smoothed_aggregation_solver(self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None).aspreconditioner()
+            self._multigrid = smoothed_aggregation_solver(
+                self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
+            ).aspreconditioner()
 
     def solve(
         self, load: Float[np.ndarray, "dofs"], field: Flow, guess: Float[np.ndarray, "dofs"]

@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_bool, as_finite, as_finite_point, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, require_integer, runs, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.elements import basis
 from plr_jax.eikonal.estimate import MOST_AXES, swept_estimate
 from plr_jax.eikonal.field import CostToGoField, MeshEstimate
 from plr_jax.eikonal.lower import SlopeSolver
-from plr_jax.eikonal.mesh import SampledSpace, coarse_mesh
+from plr_jax.eikonal.mesh import Mesh, SampledSpace, coarse_mesh
 from plr_jax.eikonal.paths import guided_paths, shortest_paths
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents, filled_coefficients
@@ -69,12 +69,17 @@ def _model() -> CornerLeafModel:
 
 def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Contents:
     """The leaves, with bounds of each over all cells of the mesh that meet it."""
-    mesh, num_leaves = field.mesh, len(contents.cells)
-    leaf, cell = overlapping_leaves(tree, mesh.tree)
-    is_open = mesh.state[cell] != CellState.BLOCKED
-    leaf, cell = leaf[is_open], cell[is_open]
-    lo, hi = _intersections(contents.cells, leaf, mesh.cells, cell)
-    corners = corner_bits(mesh.dim)
+    mesh, num_leaves, corners = field.mesh, len(contents.cells), corner_bits(field.mesh.dim)
+    leaf, within, cell = _answering(tree, mesh)
+    ends = [
+        (np.ldexp(cells.position[k], -cells.depth[k]), np.ldexp(cells.position[k] + 1.0, -cells.depth[k]))
+        for cells, k in ((contents.cells, leaf), (mesh.cells, within), (mesh.cells, cell))
+    ]
+    turn = np.where(ends[2][0] > ends[1][1], 1.0, 0.0) - np.where(ends[2][1] < ends[1][0], 1.0, 0.0)  # across a seam
+    ends[2] = ends[2][0] - turn, ends[2][1] - turn
+    lo, hi = np.max([lo for lo, _ in ends], axis=0), np.min([hi for _, hi in ends], axis=0)
+    meet = (lo <= hi).all(axis=1)
+    leaf, cell, turn, lo, hi = (each[meet] for each in (leaf, cell, turn, lo, hi))
     coefficients = filled_coefficients(contents)
     if np.isinf(coefficients[leaf, 0]).any():
         raise ValueError(
@@ -86,7 +91,7 @@ def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Content
     t = np.ldexp(at, contents.cells.depth[leaf][:, None]) - contents.cells.position[leaf][:, None]
     weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
     values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
-    below, above = field.bounds_over(cell, mesh.local(cell, lo), mesh.local(cell, hi), values)
+    below, above = field.bounds_over(cell, mesh.local(cell, lo + turn), mesh.local(cell, hi + turn), values)
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     np.minimum.at(lower, leaf, below)
     np.maximum.at(upper, leaf, above)
@@ -104,15 +109,19 @@ def _changes_beside(cells: Cells, coefficients: Float[np.ndarray, "leaves corner
     return np.sum(beside * steepest, axis=1) * np.prod(1 + 2 * beside, axis=1)
 
 
-def _intersections(
-    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"]]:
-    """What pairs of cells have in common, as fractions of the domain."""
-    ends = [
-        (np.ldexp(c.position[k], -c.depth[k]), np.ldexp(c.position[k] + 1.0, -c.depth[k]))
-        for c, k in ((a, i), (b, j))
-    ]
-    return np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])
+def _answering(tree: Tree, mesh: Mesh) -> Int[np.ndarray, "3 boxes"]:
+    """Leaves, cells that they meet, and the open cells that bound the cost-to-go of free points placed in both.
+
+    Those are the cells themselves, and of what is flush with open cells these, at what they have in common.
+    """
+    leaf, cell = overlapping_leaves(tree, mesh.tree)
+    order = np.argsort(cell, kind="stable")
+    flush, beside = mesh.flush_pairs
+    first, last = (np.searchsorted(cell[order], flush, side=side) for side in ("left", "right"))
+    pair, place = runs(last - first)
+    is_open = mesh.state[cell] != CellState.BLOCKED
+    own = np.stack([leaf, cell, cell])[:, is_open]
+    return np.append(own, [leaf[order[first[pair] + place]], flush[pair], beside[pair]], axis=1)
 
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}

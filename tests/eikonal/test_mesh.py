@@ -73,7 +73,7 @@ def test_closed_cells_count_as_blocked_and_all_that_is_said_of_cells_alone_stays
     closed = np.random.default_rng(0).random(len(mesh.state)) < 0.5
     other = mesh.without(closed)
     np.testing.assert_array_equal(other.state, np.where(closed, BLOCKED, mesh.state))
-    fresh = Mesh(mesh.domain, mesh.tree, other.state)
+    fresh = Mesh(mesh.domain, mesh.tree, other.state, mesh.is_flush)
     np.testing.assert_array_equal(other.open_cells, np.flatnonzero(~closed & (mesh.state != BLOCKED)))
     np.testing.assert_array_equal(other.is_open_face, fresh.is_open_face)
     np.testing.assert_array_equal(other.faces.lower, fresh.faces.lower)
@@ -173,7 +173,7 @@ def test_no_cell_touches_another_on_both_sides_of_a_periodic_axis():
 @pytest.mark.parametrize("periodic", [(False, False), (False, True), (True, True)])
 def test_cells_share_the_nodes_at_their_corners(periodic):
     mesh = random_mesh(0, 2, rounds=3)
-    mesh = Mesh(Box((0, 0), (1, 1), periodic), mesh.tree, mesh.state)
+    mesh = Mesh(Box((0, 0), (1, 1), periodic), mesh.tree, mesh.state, mesh.is_flush)
     x = mesh.fractions(np.arange(len(mesh.state))[:, None], corner_bits(2))
     np.testing.assert_array_equal(mesh.nodes[mesh.corners], np.where(periodic, x % 1.0, x))
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)

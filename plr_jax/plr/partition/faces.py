@@ -159,17 +159,10 @@ def neighbor_of_largest_contact(
 
     -1 where it touches none, across the seams of ``periodic`` axes neither.
     """
-    tree, is_periodic = tree_of(cells), np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    # Pairs of an unreachable and a reachable leaf that touch.
-    holds = _holding(tree, unreachable), _holding(tree, reachable)
-
-    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
-        stays = holds[0][pairs[0]] & holds[1][pairs[1]]
-        stays[stays] = _contacts(tree.cells, pairs[0, stays], pairs[1, stays], is_periodic) > 0
-        return stays
-
-    roots = np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64)
-    mine, others = tree.order[leaf_pairs(tree, tree, roots, keep)]
+    tree = tree_of(cells)
+    place = np.argsort(tree.order)
+    mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
+    is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
     contact = _contacts(cells, mine, others, is_periodic)
     order = np.lexsort((others, -contact, mine))
     mine, others = mine[order], others[order]
@@ -179,10 +172,25 @@ def neighbor_of_largest_contact(
     return donor[unreachable]
 
 
+def touching_leaves(
+    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...] = ()
+) -> Int[np.ndarray, "2 pairs"]:
+    """All pairs of one of some leaves and one of others that have a face, an edge or a corner in common."""
+    is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
+    holds = _holding(tree, some), _holding(tree, others)
+
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        stays = holds[0][pairs[0]] & holds[1][pairs[1]]
+        stays[stays] = _contacts(tree.cells, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        return stays
+
+    return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
+
+
 def _holding(tree: Tree, leaves: Int[np.ndarray, "some"]) -> Bool[np.ndarray, "nodes"]:
-    """Which nodes hold one of some leaves."""
+    """Which nodes hold one of some leaves, in the order of the tree's traversal."""
     holds = np.zeros(len(tree.child), bool)
-    holds[tree.node_of_leaf] = np.isin(tree.order, leaves)
+    holds[tree.node_of_leaf[leaves]] = True
     for splits in reversed(tree.splits):
         holds[splits] = holds[tree.child[splits]] | holds[tree.child[splits] + 1]
     return holds
