@@ -19,8 +19,8 @@ _FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and
 _SHARE = 0.8  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
 _FIRST, _NEXT = 150, 40  # iterations on the first mesh, and on those after it
-_MOST = 1000  # iterations at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
+_MOST = 1000  # iterations at the end
 _DETOUR = 16  # most by which a loss counts more for the way around that it hides
 _DEEPEST = 13  # splits along an axis, which a query resolves
 _INSET = 1e-9  # of a cell, by which points keep off its faces
@@ -96,7 +96,7 @@ class SlopeSolver:
             self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
             self.program, self._iterate = finer, iterate
         loose = self.program.solve(_NEXT, self._iterate)
-        self._iterate, has_converged = self.program.solve_tightly(loose, _MOST)
+        self._iterate, has_converged = self.program.solve_to_the_end(loose, _MOST)
         if not has_converged:
             warnings.warn(
                 f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "

@@ -95,9 +95,9 @@ class SlopeSets:
     radius: Float[np.ndarray, "controls"]
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
-    def project(self, g: Vectors, radius: Float[np.ndarray, "controls"]) -> Vectors:
-        """The nearest vectors in the sets, their balls of another radius."""
-        offset = self._nearest_offset(g)
+    def project(self, g: Vectors) -> Vectors:
+        """The nearest vectors in the sets."""
+        offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
         for block in self.blocks:
             axes = list(block)
@@ -135,9 +135,9 @@ class SlopeSets:
 
 
 _RELAXATION = 1.6
-_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
-_TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
-_GAIN = 1e-4  # share by which values have to rise
+_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0  # over the median flow: flows settle sooner, or values do
+_LOOK_EVERY = 10  # iterations
+_GAIN = 5e-4  # share by which values have to rise
 _PATIENCE = 30  # iterations in which they do not, after which they have converged
 _RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
 _MOST_STEPS = 50  # of conjugate gradients
@@ -235,20 +235,15 @@ class SlopeProgram:
         for iteration in range(num_iterations):
             if iteration in factor_at:
                 state = _Splitting(self, state.iterate, _LEAST_PENALTY)
-            state.step(self.sets.radius)
+            state.step()
         return state.iterate
 
-    def solve_tightly(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
-        """The best values that satisfy the constraints, and whether they had stopped rising before the limit.
-
-        Where slopes exceed their bounds, these are tightened every few iterations, so that little is lost when the
-        values are made to satisfy them. Tightened too long, they fall again: those that were best count.
-        """
-        state, radius = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), self.sets.radius
-        best, highest, found = start, 0.0, 0
+    def solve_to_the_end(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
+        """The best values that satisfy the constraints, and whether they had stopped rising before the limit."""
+        state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
-            state.step(radius)
-            if iteration % _TIGHTEN_EVERY:
+            state.step()
+            if iteration % _LOOK_EVERY:
                 continue
             u = state.u - self.at_goal(state.u)
             value = float(self.weight @ self.rescaling(u)(u))
@@ -256,7 +251,6 @@ class SlopeProgram:
                 best, highest, found = state.iterate, value, iteration
             elif iteration >= found + _PATIENCE:
                 return best, True
-            radius = radius * np.minimum(1.0, self.sets.radius / np.maximum(self.sets.lengths(state.g), _TINY))
         return best, False
 
 
@@ -288,18 +282,18 @@ class _Splitting:
         carried = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(carried) if carried.size else 1.0) / radius
         self._system = _Poisson(program, self._penalty)
-        self.u, self.g, self._y = start.values, program.gradients(start.values), start.flow / self._penalty
-        self._z = program.sets.project(self.g, radius)
+        self.u, g, self._y = start.values, program.gradients(start.values), start.flow / self._penalty
+        self._z = program.sets.project(g)
 
     @property
     def iterate(self) -> Iterate:
         return Iterate(self.u, self._penalty * self._y)
 
-    def step(self, radius: Float[np.ndarray, "controls"]) -> None:
+    def step(self) -> None:
         self.u = self._system.solve(self._load, self._z - self._y, self.u)
-        self.g = self._program.gradients(self.u)
-        v = _RELAXATION * self.g + (1 - _RELAXATION) * self._z + self._y
-        self._z = self._program.sets.project(v, radius)
+        g = self._program.gradients(self.u)
+        v = _RELAXATION * g + (1 - _RELAXATION) * self._z + self._y
+        self._z = self._program.sets.project(v)
         self._y = v - self._z
 
 
