@@ -222,19 +222,33 @@ free_thresh: 0.196
 """
 
 
-def _cost_map_files() -> list[bytes]:
-    straight = _MAP_SERVER.replace("0.25", "0.0")
-    return [f"{straight}mode: {mode}\n".encode() for mode in ("trinary", "scale", "raw")]
+_MODES = ("trinary", "scale", "raw")
+_PICTURE = b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 3 + b"\x90\0") * 4
+
+
+def _cost_map_of(mode: str) -> bytes:
+    return f"{_MAP_SERVER.replace('0.25', '0.0')}mode: {mode}\n".encode()
 
 
 def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
     """A reader of the map, beside whose file there is its picture."""
 
     def reader(path: Path) -> Any:
-        path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 3 + b"\x90\0") * 4)
+        path.with_name("room.pgm").write_bytes(_PICTURE)
         return read(path)
 
     return reader
+
+
+def _read_cost_map_of_picture(path: Path) -> Any:
+    """What a map of one mode or another makes of a picture."""
+    mode = _MODES[path.stat().st_size % len(_MODES)]
+    file = path.with_name(f"{path.name}.yaml")
+    file.write_bytes(_cost_map_of(mode).replace(b"room.pgm", path.name.encode()))
+    try:
+        return scenes.read_cost_map(file)
+    finally:
+        file.unlink()
 
 
 class _Answers(BaseRequestHandler):
@@ -281,7 +295,8 @@ READERS = {
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
-    "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", _cost_map_files),
+    "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),
+    "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
     "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()], needs="trimesh"),
@@ -441,6 +456,9 @@ def _give_up(*_: Any) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mutations", type=int, default=20_000, help="files a reader")
+    parser.add_argument(
+        "--readers", nargs="+", choices=READERS, metavar="READER", default=list(READERS), help="names"
+    )
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
@@ -448,12 +466,12 @@ def main() -> None:
     signal.signal(signal.SIGALRM, _give_up)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
-    for name in (name for name in READERS if find_spec(READERS[name].needs)):
+    for name in (name for name in arguments.readers if find_spec(READERS[name].needs)):
         found = [trial(name, number, kept, arguments.seed) for number in range(arguments.mutations)]
         seconds, growth = max(each.seconds for each in found), max(each.growth for each in found) / 1e6
         failures = {number: outcome for number, outcome in enumerate(found) if outcome.failed}
         kinds = dict(Counter(each.kind for each in found))
-        print(f"{name}: {kinds}, at most {seconds:.2f} s and {growth:.0f} MB; {failures}")
+        print(f"{name}: {kinds}, at most {seconds:.2f} s and {growth:.0f} MB; {failures}", flush=True)
 
 
 if __name__ == "__main__":

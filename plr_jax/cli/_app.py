@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import takewhile
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -82,13 +83,18 @@ def reason_of(error: OSError | ValueError) -> str:
 
 
 class _Command(TyperCommand):
-    """A command that says what is wrong with a goal of two arguments."""
+    """A command that says what is wrong with a goal of several arguments."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        for option, x, y in zip(args, args[1:], args[2:], strict=False):
-            if option in ("--goal", "-g") and numbers_of(x.rstrip(",")) and numbers_of(y):
-                raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {x},{y}.", ctx)
+        for place, option in enumerate(args):
+            given = [text.rstrip(",") for text in takewhile(_is_coordinate, args[place + 1 :])]
+            if option in ("--goal", "-g") and len(given) > 1:
+                raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {','.join(given)}.", ctx)
         return super().parse_args(ctx, args)
+
+
+def _is_coordinate(text: str) -> bool:
+    return bool(numbers_of(text.rstrip(",")))
 
 
 _LINE_ERASED = "\r\x1b[K"  # back to the beginning of the line, and all of it erased

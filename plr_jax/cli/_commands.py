@@ -5,7 +5,7 @@ Heavy libraries are imported inside the commands, so that ``plr-jax --help`` ans
 
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from json import dumps
@@ -18,10 +18,13 @@ import typer
 from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command, printable, saying, warn
 from plr_jax.cli._build import build_file, prepared_oracle
+from plr_jax.cli._facts import facts_of, lines_of
 from plr_jax.cli._inputs import DEFAULT_BYTES, LEAVES, PICTURES, parse_goal, require_writable
 from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
+    BoxOption,
     DropSpecksOption,
+    EnclosedOption,
     FileArgument,
     GoalOfPairsOption,
     GoalOption,
@@ -33,6 +36,7 @@ from plr_jax.cli._options import (
     one_of,
 )
 from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
+from plr_jax.cli._volumes import VOLUME_LEAVES, NamedVolume, build_volume, is_volume
 
 if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
@@ -49,6 +53,8 @@ _SAME = 1e-6  # in shares of their width boxes that are called the same may diff
     "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4",
     "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --radius 0.3",
     "plr-jax build floor_plan --max-bytes 65536 --prefix 1024 --prefix 8192",
+    "plr-jax build cave.3dmap --goal 10.5,30.5,4.5 --max-bytes 16384",
+    "plr-jax build hall.stl --goal 1,2,0.5 --resolution 0.1 --enclosed free --radius 0.2",
 )
 def build(
     map: MapArgument,
@@ -61,12 +67,16 @@ def build(
         int | None,
         typer.Option(help="Largest size of the file.", show_default=f"{DEFAULT_BYTES} where no limit is given"),
     ] = None,
-    max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
+    max_leaves: Annotated[
+        int | None,
+        typer.Option(help="Largest number of cells; of volumes, of those that are solved.", show_default=False),
+    ] = None,
     max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="Error (workspace units) at which to stop: proven for planes and cones, sampled for others.",
+            help="Error (workspace units) at which to stop: proven for planes and cones, sampled for others; of "
+            "volumes the mean one of the lower bound, as estimated.",
             show_default=False,
         ),
     ] = None,
@@ -76,7 +86,8 @@ def build(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
             "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' is cones "
             "where the file has room for all corners and leaves are not limited; else it builds all of them (cones "
-            "if a quarter of the corners has room), and keeps that of the least proven error.",
+            "if a quarter of the corners has room), and keeps that of the least proven error. Volumes are of "
+            "'continuous' ones.",
             **one_of(LEAVES),
         ),
     ] = "best",
@@ -99,6 +110,8 @@ def build(
     drop_specks: DropSpecksOption = None,
     polygons: PolygonsOption = None,
     radius: RadiusOption = None,
+    box: BoxOption = None,
+    enclosed: EnclosedOption = None,
     prefix: Annotated[
         list[int] | None,
         typer.Option(
@@ -109,7 +122,10 @@ def build(
         ),
     ] = None,
 ) -> None:
-    """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
+    """Compress the distance to a goal in a MAP into a small file, with a proof of its largest error.
+
+    On maps of the plane the distance that is compressed is exact. In volumes it is an estimate, with proven bounds.
+    """
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax._atomic import write_atomically
@@ -122,6 +138,16 @@ def build(
         leaf_model(leaf)
     require_writable(output, inputs=(map, oracle))
     require_writable(oracle, inputs=(map,))
+    if max_bytes is max_leaves is max_depth is None:
+        max_bytes = DEFAULT_BYTES
+    if is_volume(map):
+        others = {"max_depth": max_depth, "oracle": oracle, "prefix": prefix or None, "threshold": threshold}
+        others |= {"drop_specks": drop_specks, "polygons": polygons, "leaf": None if leaf in VOLUME_LEAVES else leaf}
+        limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "tolerance": tolerance, "seed": seed}
+        build_volume(NamedVolume(map, goal, resolution, box, enclosed, radius), output, others=others, **limits)
+        return
+    if box is not None or enclosed is not None:
+        raise ValueError(f"--box and --enclosed are for volumes, and {map} is none: leave them out.")
     named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons, radius)
     with saying(f"reading {map}"):
         workspace, goal_point = named.read()
@@ -129,8 +155,6 @@ def build(
         raise ValueError(
             f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
         )
-    if max_bytes is max_leaves is max_depth is None:
-        max_bytes = DEFAULT_BYTES
     if named.is_of_pixels():
         say_vertices(workspace)
     with saying("finding what corners see"):
@@ -314,58 +338,11 @@ def info(
     """Say what is in a file."""
     from plr_jax._io import load
 
-    facts = {"file": str(file), **_facts_of(load(file))}
+    facts = {"file": str(file), **facts_of(load(file))}
     if json:
         typer.echo(dumps(facts, indent=2))
     else:
-        typer.echo("\n".join(f"{name:11}{printable(told)}" for name, told in _lines_of(facts)))
-
-
-def _facts_of(held: Any) -> dict[str, Any]:
-    """What JSON can hold of a PLR or of pairs."""
-    from plr_jax._arrays import told
-    from plr_jax.plr import PLR, from_bytes
-
-    is_plr, domain = isinstance(held, PLR), held.domain
-    facts = {
-        "holds": type(held).__name__,
-        "lo": told(domain.lo),
-        "hi": told(domain.hi),
-        "periodic_axes": [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic],
-        "num_bytes": held.num_bytes,
-    }
-    names = ["label", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
-    facts |= {name: getattr(held, name) for name in names if hasattr(held, name)}
-    if not is_plr:  # whose tables may take long to make
-        return facts
-    parts = [from_bytes(held.to_bytes()[:mark]) for mark in held.file_marks]
-    coarser = [{name: getattr(part, name) for name in ("num_bytes", "num_leaves", "max_error")} for part in parts]
-    return facts | {"leaf": held.leaf.name, "resident_bytes": held.resident_bytes, "coarser": coarser}
-
-
-def _lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """The same for people: names, and what is said of them."""
-    is_plr = facts["holds"] == "PLR"
-    yield "file", facts["file"]
-    yield "label", facts.get("label") or "none"
-    yield "leaf" if is_plr else "holds", facts.get("leaf", facts["holds"])
-    periodic = f", periodic along axes {facts['periodic_axes']}" if facts["periodic_axes"] else ""
-    yield "domain", f"{facts['lo']} to {facts['hi']} ({len(facts['lo'])}-D{periodic})"
-    if is_plr:
-        yield "leaves", f"{facts['num_leaves']:,}, of which {facts['num_unreachable']:,} unreachable"
-        yield "depth", f"{facts['depth']}"
-        yield "proof", _proof_of(facts)
-        yield "bytes", f"{facts['num_bytes']:,} in the file, {facts['resident_bytes']:,} in memory"
-    else:
-        yield "corners", f"{facts['num_corners']:,}"
-        yield "bytes", f"{facts['num_bytes']:,} in the file"
-    for part in facts.get("coarser", ()):
-        leaves = f"{part['num_leaves']:,} leaves, proof {_proof_of(part)}"
-        yield "coarser", f"in its first {part['num_bytes']:,} bytes: {leaves}"
-
-
-def _proof_of(facts: dict[str, Any]) -> str:
-    return "none" if facts["max_error"] is None else f"largest error {facts['max_error']:.3g}"
+        typer.echo("\n".join(f"{name:11}{printable(told)}" for name, told in lines_of(facts)))
 
 
 class Picture(StrEnum):
@@ -416,6 +393,10 @@ def plot(
     held = load(file)
     is_of_pairs = not isinstance(held, PLR)
     plr = _to_goal(held, file, goal) if is_of_pairs else held
+    if plr.domain.dim != 2:
+        raise ValueError(
+            f"{file} has {plr.domain.dim} axes, of which no plane is chosen here: see plr_jax.plot.slices."
+        )
     if not isinstance(plr, PLR) and kind is not Picture.distance:
         raise ValueError(f"{file} holds pairs of cells of a grid: of these only the distance is drawn.")
     reading = {

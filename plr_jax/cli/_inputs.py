@@ -24,6 +24,13 @@ DEFAULT_BYTES = 4_096
 
 PICTURES = (".png", ".pdf", ".svg")
 _NUMBER = re.compile(r"\s*[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)\s*", re.ASCII | re.IGNORECASE)
+_POINTS = {
+    1: ("one number", "X", "3"),
+    2: ("two numbers", "X,Y", "3,28"),
+    3: ("three numbers", "X,Y,Z", "3,28,5"),
+    4: ("four numbers", "X,Y,Z,W", "3,28,5,1"),
+}
+"""How many numbers the points of so many axes are, what they are called, and an example."""
 _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 
 
@@ -90,11 +97,12 @@ def require_writable(
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
-def parse_goal(text: str) -> Float[np.ndarray, "2"]:
-    """The point that ``X,Y`` means."""
+def parse_goal(text: str, num_axes: int = 2) -> Float[np.ndarray, "num_axes"]:
+    """The point that ``X,Y`` means, or one of another number of coordinates."""
     goal = np.array(numbers_of(text))
-    if goal.shape != (2,) or not np.isfinite(goal).all():
-        raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
+    if goal.shape != (num_axes,) or not np.isfinite(goal).all():
+        many, names, example = _POINTS[num_axes]
+        raise ValueError(f"--goal must be {many} {names} in one argument, such as {example}, got {text!r}.")
     return goal
 
 

@@ -46,8 +46,7 @@ class NamedMap:
     radius: float | None = None
 
     def __str__(self) -> str:
-        given = {name: value for name, value in vars(self).items() if name != "name" and value is not None}
-        return shlex.join([self.name, *(f"{_option(name)}={value}" for name, value in given.items())])
+        return command_text(**vars(self))
 
     @classmethod
     def of(cls, text: str) -> "NamedMap":
@@ -113,7 +112,7 @@ class NamedMap:
         if problem is None:
             return self._read_file(given), given
         if self._reading:
-            options = ", ".join(map(_option, self._reading))
+            options = ", ".join(map(option_of, self._reading))
             raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
         own = problem.goals[0, :2] if len(problem.robots) == 1 else None
         return problem.workspace, own if given is None else given
@@ -125,8 +124,8 @@ class NamedMap:
 
         reader = reader_of(Path(self.name))
         known = options_of(reader)
-        if unknown := ", ".join(_option(key) for key in self._reading if key not in known):
-            others = ", ".join(_option(field.name) for field in fields(self) if field.name in known)
+        if unknown := ", ".join(option_of(key) for key in self._reading if key not in known):
+            others = ", ".join(option_of(field.name) for field in fields(self) if field.name in known)
             raise ValueError(
                 f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
             )
@@ -149,6 +148,12 @@ class NamedMap:
         return None
 
 
+def command_text(name: str, **options: Any) -> str:
+    """The part of a command line that names a map or a volume with the options that are given."""
+    given = {key: value for key, value in options.items() if value is not None}
+    return shlex.join([name, *(f"{option_of(key)}={value}" for key, value in given.items())])
+
+
 def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> NamedMap | None:
     """The map and the goal of a PLR's file; None if neither its label nor the user names a map.
 
@@ -169,7 +174,9 @@ def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> Nam
         own = None
     if name is None and own is None:
         if given:
-            raise ValueError(f"{file} does not say of which map it is: {', '.join(map(_option, given))} needs --map.")
+            raise ValueError(
+                f"{file} does not say of which map it is: {', '.join(map(option_of, given))} needs --map."
+            )
         return None
     if own is None:
         return NamedMap(str(name), **given)
@@ -207,7 +214,7 @@ def read_map_of_file(
     return None, given
 
 
-def _option(key: str) -> str:
+def option_of(key: str) -> str:
     """The option of a command that a field of a map is given by."""
     return f"--{key.replace('_', '-')}"
 

@@ -14,7 +14,8 @@ MapArgument = Annotated[
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml), "
         'GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI grid (.map), '
-        "polygons with holes (.json), a scene (.json).",
+        "polygons with holes (.json), a scene (.json); build also takes volumes: an array (.npy), True where it is "
+        "free, voxels of Moving AI (.3dmap), a mesh (.stl, .obj, .ply).",
         show_default=False,
         autocompletion=lambda: list(SCENES),
     ),
@@ -31,7 +32,9 @@ def one_of(names: Sequence[str]) -> dict[str, Any]:
     return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
 
 
-ResolutionOption = Annotated[float | None, _of_reading("Side of a pixel of a picture, in workspace units.", "1")]
+ResolutionOption = Annotated[
+    float | None, _of_reading("Side of a pixel of a picture or of a voxel, in workspace units; a mesh needs it.", "1")
+]
 ThresholdOption = Annotated[
     float | None, _of_reading("Lightness above which a pixel of a picture is free: 0 is black, 1 white.", "0.5")
 ]
@@ -40,6 +43,17 @@ DropSpecksOption = Annotated[
 ]
 PolygonsOption = Annotated[
     str | None, _of_reading("What polygons of GeoJSON are.", "obstacles", **one_of(("obstacles", "free")))
+]
+BoxOption = Annotated[
+    str | None,
+    _of_reading(
+        "Of a volume, the corners of the box that its voxels fill.",
+        "from 0 on with voxels as --resolution says, or the mesh's own",
+        metavar="X,Y,Z,X,Y,Z",
+    ),
+]
+EnclosedOption = Annotated[
+    str | None, _of_reading("What the surface of a mesh encloses is.", "blocked", **one_of(("blocked", "free")))
 ]
 RadiusOption = Annotated[
     float | None,
@@ -55,6 +69,10 @@ GoalOfPairsOption = Annotated[
 GoalOption = Annotated[
     str | None,
     typer.Option(
-        "--goal", "-g", metavar="X,Y", help="The goal; a scene of one robot brings its own.", show_default=False
+        "--goal",
+        "-g",
+        metavar="X,Y",
+        help="The goal, of a volume X,Y,Z; a scene of one robot brings its own.",
+        show_default=False,
     ),
 ]

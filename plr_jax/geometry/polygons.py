@@ -175,7 +175,7 @@ def as_bounds(value: Box | ArrayLike) -> Box:
     if (tolerance := 1e3 * rounding_of(bounds)) > _COARSEST * bounds.width.min():
         raise ValueError(
             f"A workspace's shorter side is at least {1 / _COARSEST:g} times what coordinates there resolve, "
-            f"{tolerance:g}, got {bounds}: choose an origin that is near."
+            f"{tolerance:g}, got {bounds}: choose bounds that are less slender, or an origin that is near."
         )
     return bounds
 

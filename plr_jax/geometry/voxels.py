@@ -70,7 +70,7 @@ class VoxelGrid:
         if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
             raise ValueError(
                 f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
-                f"got {voxels.shape} of them in {box}: choose another unit, or bounds nearer to zero."
+                f"got {voxels.shape} of them in {box}: choose fewer voxels, or bounds less slender or nearer to zero."
             )
         return cls(voxels, box)
 

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from tqdm import tqdm
@@ -25,6 +25,8 @@ _MOST_TIED_AXES = 6
 _CROWDED, _BYTES_A_SOURCE = 4, 7
 """Times the budget that all corners may take where leaves that name them are tried, and bytes of one."""
 _ERROR_POINTS = 4096
+
+_Built = TypeVar("_Built")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ def best_leaves(
         for name in progress:
             progress.set_description(f"{what}: leaves of kind {name!r}")
             try:
-                contents, is_interrupted = _constructed(construct, distance_fn, domain, leaf=name, **options)
+                contents, is_interrupted = constructed(construct, distance_fn, domain, leaf=name, **options)
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
                 refused.append(error)
                 continue
@@ -133,18 +135,18 @@ def _tried(distance_fn: DistanceFn, domain: Box, is_certified: bool, options: di
     return [name for name in leaf_names() if name in others or (name in sourced and share <= _CROWDED)]
 
 
-def _constructed(construct: Callable[..., Contents], *args: Any, **options: Any) -> tuple[Contents, bool]:
-    """What is built of one leaf model, and whether that was interrupted, of which there is no other warning."""
+def constructed(construct: Callable[..., _Built], *args: Any, **options: Any) -> tuple[_Built, bool]:
+    """What a function builds, and whether that was interrupted, of which there is no other warning."""
     is_interrupted = False
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConstructionInterrupted)
-        contents = construct(*args, **options)
+        built = construct(*args, **options)
     for warning in caught:
         if issubclass(warning.category, ConstructionInterrupted):
             is_interrupted = True
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    return contents, is_interrupted
+    return built, is_interrupted
 
 
 def _mean_error(contents: Contents, distance_fn: DistanceFn, seed: int) -> float:

@@ -1,7 +1,9 @@
 """Meshes of triangles as voxels: each that the surface meets is blocked, and what it encloses."""
 
 import io
+import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -40,12 +42,26 @@ def triangles_of(path: Path) -> Triangles:
         data = data.decode("utf-8", "replace").encode()  # else trimesh would guess in which encoding a text is
     try:  # from memory, so that files that it names are not looked for
         options: Any = {"process": False, "skip_materials": True}
-        triangles = np.asarray(trimesh.load_mesh(io.BytesIO(data), file_type=kind, **options).triangles, np.float64)
+        with _unlogged():
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, **options)
+        triangles = np.asarray(mesh.triangles, np.float64)
     except Exception as error:  # trimesh's readers raise anything
         raise ValueError(f"expected a mesh, got something else or a damaged file ({error}).") from None
     if triangles.shape[1:] != (3, 3) or not len(triangles) or not np.isfinite(triangles).all():
         raise ValueError("expected a mesh of triangles with corners 'x y z', finite ones, got none or others.")
     return triangles
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Without what trimesh logs: tracebacks, of parts of a file that it then does without."""
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _size_of_stl(data: bytes) -> int:

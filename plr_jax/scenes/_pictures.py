@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # of Pillow's those that run no other program
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
+_SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # what a file may promise, whatever it holds, and else for what it holds
 _BYTES = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel, where they are not 4
 _BAND = 2**18  # pixels that become numbers at a time
 OPAQUE = 255
@@ -50,8 +51,9 @@ def read_image(
     as on white paper, and the picture as its file says that it is to be turned. The lowest row has the least ``y``.
 
     Args:
-        path: A picture of at most 16,777,216 pixels, 12,582,912 in color: PNG, PGM, PBM, PPM, BMP, GIF
-            (its first frame), JPEG, TIFF or WebP, in 8 or 16 bits a color.
+        path: A picture of at most 16,777,216 pixels, 12,582,912 in color, but above 4,194,304 at most 4,096 for each
+            byte of the file: PNG, PGM, PBM, PPM, BMP, GIF (its first frame), JPEG, TIFF or WebP, in 8 or 16 bits a
+            color.
         resolution: As for :meth:`Workspace.from_mask`, and so are ``origin``, ``tolerance``, ``drop_specks`` and
             ``squeeze``.
         origin: Of the outer corner of the picture's lower left pixel.
@@ -87,7 +89,8 @@ def opened(path: Path) -> Iterator["Image"]:
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
-        if os.fstat(file.fileno()).st_size > _MOST_BYTES:
+        num_bytes = os.fstat(file.fileno()).st_size
+        if num_bytes > _MOST_BYTES:
             raise ValueError(f"expected a picture of at most {_MOST_BYTES:,} bytes, got a larger file.")
         warnings.simplefilter("ignore")  # of Pillow, about what is refused here or does not matter
         try:
@@ -95,7 +98,7 @@ def opened(path: Path) -> Iterator["Image"]:
         except Exception as error:  # Pillow's decoders raise anything
             raise ValueError(f"expected a picture ({', '.join(_FORMATS)}), got something else ({error}).") from None
         with picture:
-            _require_modest(picture)
+            _require_modest(picture, num_bytes)
             _require_plain(picture)
             try:
                 turned = ImageOps.exif_transpose(picture)
@@ -105,12 +108,18 @@ def opened(path: Path) -> Iterator["Image"]:
             yield turned
 
 
-def _require_modest(picture: "Image") -> None:
+def _require_modest(picture: "Image", num_bytes: int) -> None:
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES.get(picture.mode, 4) > _MOST_DECODED:
         raise ValueError(
             f"expected a picture of at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color, got "
             f"{picture.width:,} x {picture.height:,}: make it smaller."
+        )
+    most = max(_SMALL, _PIXELS_PER_BYTE * num_bytes)
+    if num_pixels > most:
+        raise ValueError(
+            f"expected at most {most:,} pixels in a file of {num_bytes:,} bytes, got {picture.width:,} x "
+            f"{picture.height:,}: it is damaged, or nearly all of it is of one color and can be cut off."
         )
 
 

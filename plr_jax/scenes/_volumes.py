@@ -61,33 +61,47 @@ def read_volume(
     References:
         D. Brewer and N. Sturtevant, "Benchmarks for pathfinding in 3D voxel space", SoCS 2018.
     """
+    free, _ = volume_of(path, pitch, bounds, fill)
+    if not free.any():
+        enclosed = ": fill=False leaves free what the surface encloses" if is_mesh(path) and fill else ""
+        raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
+    return free
+
+
+def is_mesh(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is of a mesh, by its ending."""
+    return Path(path).suffix.lower() in MESH_ENDINGS
+
+
+def volume_of(
+    path: str | os.PathLike[str], pitch: float | int | None, bounds: Box | ArrayLike | None, fill: bool
+) -> tuple[Bool[np.ndarray, "..."], Box]:
+    """Which voxels of a volume are free, and the box that they fill: in units of the mesh, else of voxels."""
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
     with errors_named(path):
         if ending not in VOLUME_ENDINGS:
             raise ValueError(f"expected a file that ends in one of {', '.join(VOLUME_ENDINGS)}.")
-        if ending in MESH_ENDINGS:
-            free = _read_mesh(path, pitch, bounds, fill)
-        elif pitch is not None or bounds is not None or not fill:
+        if is_mesh(path):
+            return _read_mesh(path, pitch, bounds, fill)
+        if pitch is not None or bounds is not None or not fill:
             raise ValueError(f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out.")
-        else:
-            free = _READERS[ending](path)
-        if not free.any():
-            enclosed = ": fill=False leaves free what the surface encloses" if ending in MESH_ENDINGS and fill else ""
-            raise ValueError(f"the volume has no free voxel{enclosed}.")
-    return free
+        free = _READERS[ending](path)
+        return free, Box(np.zeros(free.ndim), free.shape)
 
 
 def _read_mesh(
     path: Path, pitch: float | None, bounds: Box | ArrayLike | None, fill: bool
-) -> Bool[np.ndarray, "x y z"]:
+) -> tuple[Bool[np.ndarray, "x y z"], Box]:
     if pitch is None:
         raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
     pitch = as_finite("pitch", pitch, positive=True)
     box = None if bounds is None else Box.of(bounds, "bounds")
     if box is not None and box.dim != 3:
         raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-    return free_of_mesh(triangles_of(path), pitch, box, fill)
+    triangles = triangles_of(path)
+    free, lo = free_of_mesh(triangles, pitch, box, fill), triangles.min(axis=(0, 1)) if box is None else box.lo
+    return free, Box(lo, lo + pitch * np.array(free.shape))
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:

@@ -2,6 +2,7 @@ import sys
 
 import numpy as np
 import pytest
+from volume_files import stl_files
 
 from plr_jax import Box, scenes
 from plr_jax.scenes._meshes import free_of_mesh
@@ -152,3 +153,11 @@ def test_without_trimesh_an_error_says_how_to_install_it(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(ImportError, match=r"trimesh, which is not installed: pip install 'plr-jax\[meshes\]'"):
         scenes.read_volume(tmp_path / "room.stl", pitch=1.0)
+
+
+def test_what_trimesh_logs_of_parts_that_it_does_without_is_not_shown(tmp_path, caplog):
+    pytest.importorskip("trimesh")
+    path = tmp_path / "room.stl"
+    path.write_bytes(stl_files()[1].replace(b"normal 0", b"normal x"))
+    assert scenes.read_volume(path, pitch=0.25, fill=False).shape == (13, 4, 6)
+    assert not caplog.records

@@ -181,12 +181,13 @@ def test_tiff_of_other_numbers_is_refused(data, tmp_path):
         ("a.png", png(40_000, 40_000), "expected a picture"),
         ("a.png", png(12_000, 8_000), "at most 16,777,216 pixels, 12,582,912 in color, got 12,000 x 8,000"),
         ("a.pgm", b"P5 9000 9000 255\n", "at most 16,777,216 pixels"),
+        ("a.png", png(3_000, 2_000), "at most 4,194,304 pixels in a file of [0-9]+ bytes, got 3,000 x 2,000"),
         ("a.pgm", b"P5 4 4 255\nabc", "damaged"),
         ("a.pgm", b"P5 -4 4 255\nabc", "expected a picture"),
         ("a.pgm", b"P2 2 2 255\n1 2 3 x", "damaged"),
         ("a.png", png(4, 4, bytes(20)), "No pixel of 4 x 4 is free"),
     ],
-    ids=range(13),
+    ids=range(14),
 )
 def test_what_is_no_picture_is_refused_by_name(name, content, message, tmp_path):
     (tmp_path / name).write_bytes(content)

@@ -1,0 +1,51 @@
+"""What ``plr-jax info`` tells of a file."""
+
+from collections.abc import Iterator
+from typing import Any
+
+
+def facts_of(held: Any) -> dict[str, Any]:
+    """What JSON can hold of a PLR or of pairs."""
+    from plr_jax._arrays import told
+    from plr_jax.plr import PLR, from_bytes
+
+    is_plr, domain = isinstance(held, PLR), held.domain
+    facts = {
+        "holds": type(held).__name__,
+        "lo": told(domain.lo),
+        "hi": told(domain.hi),
+        "periodic_axes": [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic],
+        "num_bytes": held.num_bytes,
+    }
+    names = ["label", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
+    facts |= {name: getattr(held, name) for name in names if hasattr(held, name)}
+    if not is_plr:  # whose tables may take long to make
+        return facts
+    parts = [from_bytes(held.to_bytes()[:mark]) for mark in held.file_marks]
+    coarser = [{name: getattr(part, name) for name in ("num_bytes", "num_leaves", "max_error")} for part in parts]
+    return facts | {"leaf": held.leaf.name, "resident_bytes": held.resident_bytes, "coarser": coarser}
+
+
+def lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """The same for people: names, and what is said of them."""
+    is_plr = facts["holds"] == "PLR"
+    yield "file", facts["file"]
+    yield "label", facts.get("label") or "none"
+    yield "leaf" if is_plr else "holds", facts.get("leaf", facts["holds"])
+    periodic = f", periodic along axes {facts['periodic_axes']}" if facts["periodic_axes"] else ""
+    yield "domain", f"{facts['lo']} to {facts['hi']} ({len(facts['lo'])}-D{periodic})"
+    if is_plr:
+        yield "leaves", f"{facts['num_leaves']:,}, of which {facts['num_unreachable']:,} unreachable"
+        yield "depth", f"{facts['depth']}"
+        yield "proof", _proof_of(facts)
+        yield "bytes", f"{facts['num_bytes']:,} in the file, {facts['resident_bytes']:,} in memory"
+    else:
+        yield "corners", f"{facts['num_corners']:,}"
+        yield "bytes", f"{facts['num_bytes']:,} in the file"
+    for part in facts.get("coarser", ()):
+        leaves = f"{part['num_leaves']:,} leaves, proof {_proof_of(part)}"
+        yield "coarser", f"in its first {part['num_bytes']:,} bytes: {leaves}"
+
+
+def _proof_of(facts: dict[str, Any]) -> str:
+    return "none" if facts["max_error"] is None else f"largest error {facts['max_error']:.3g}"
