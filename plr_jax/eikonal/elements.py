@@ -23,7 +23,8 @@ from plr_jax.plr.partition.faces import eliminated, face_points, resolve
 
 class _Ties(NamedTuple):
     """Nodes that are one with a node of another cell, nodes that lie on another cell's face elsewhere, and corners of
-    what two cells have in common of a face that are nodes of neither."""
+    what two cells have in common of a face that are nodes of neither.
+    """
 
     same: Int[np.ndarray, "2 pairs"]
     hanging: Int[np.ndarray, "m"]

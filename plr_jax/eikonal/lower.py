@@ -17,8 +17,9 @@ from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and no loss shows
 _SHARE = 0.8  # of the loss, in cells that are refined
+_LEAKING, _LAST = 0.1, 0.01
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
-_FIRST, _NEXT = 150, 40  # iterations on the first mesh, and on those after it
+_FIRST, _NEXT = 100, 20  # iterations on the first mesh, and on those after it
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
 _MOST = 1000  # iterations at the end
 _DETOUR = 16  # most by which a loss counts more for the way around that it hides
@@ -95,8 +96,7 @@ class SlopeSolver:
             is_same = (self.mesh.cells.depth[before] == fine.cells.depth).all(axis=1)
             self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
             self.program, self._iterate = finer, iterate
-        loose = self.program.solve(_NEXT, self._iterate)
-        self._iterate, has_converged = self.program.solve_to_the_end(loose, _MOST)
+        self._iterate, has_converged = self.program.solve_thoroughly(self._iterate, _MOST)
         if not has_converged:
             warnings.warn(
                 f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
@@ -147,7 +147,11 @@ class SlopeSolver:
         enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)
         least, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
         deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
-        return mesh.open_cells[order[~deepest]], int(min(max(enough, least), most, self.max_cells - num_cells))
+        left = self.max_cells - num_cells
+        is_mixed = mesh.state[mesh.open_cells] == CellState.MIXED
+        if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
+            left = int(_SHARE * left)  # where walls are open still, the next flow finds what is open then
+        return mesh.open_cells[order[~deepest]], int(min(max(enough, least), most, left))
 
 
 def slope_program(

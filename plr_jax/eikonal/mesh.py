@@ -27,6 +27,7 @@ from plr_jax.spaces import (
 
 _OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_coarse", "_corners")
 _COARSE = 4  # boxes a cell, at most, of the grid from whose boxes points are located
+_MOST_SLENDER = 2e5  # beyond, equations lose all digits of what is long
 _LONG = 0.7  # of the width along the axis along which a cell is widest
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
 
@@ -262,6 +263,13 @@ class Mesh:
 def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
     """A mesh of at least so many cells, if the most allow it, about as wide along every axis by a scale."""
     depth = even_depth(space.domain, scale, num_cells, max_cells)
+    width = np.ldexp(space.domain.width * scale, -depth)
+    if width.max() > _MOST_SLENDER * width.min():
+        raise ValueError(
+            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
+            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out axis "
+            f"{np.argmin(width)}, along which nothing of the cost-to-go changes beside the others."
+        )
     position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
     position = position.reshape(-1, space.domain.dim)
     cells = Cells(np.tile(depth, (len(position), 1)), position)

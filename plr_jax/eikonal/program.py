@@ -238,7 +238,7 @@ class SlopeProgram:
             state.step()
         return state.iterate
 
-    def solve_to_the_end(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
+    def solve_thoroughly(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
         """The best values that satisfy the constraints, and whether they had stopped rising before the limit."""
         state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):

@@ -175,7 +175,8 @@ def solve_eikonal(
 
     Raises:
         ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or
-            too small (for one leaf, for four cells along each periodic axis, or so that open cells have no sample),
+            too small (for one leaf, for four cells along each periodic axis, for cells at most 200,000 times as long as
+            wide, so that open cells have no sample or, without proof, so that no free motion leads to the goal),
             ``certified=False`` comes with more than three axes or a tolerance,
             bounds of the cost map are not positive and finite, or it is directional and the space's cost no length.
 
@@ -229,6 +230,11 @@ def _swept(
     """The estimate alone, on cells that are about equally wide along every axis."""
     mesh = coarse_mesh(space, space.motion_cost.scale, most, most)
     costs = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)(mesh.nodes)
+    if not np.isfinite(costs).any():
+        raise ValueError(
+            f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: allow more, "
+            "or leave out certified=False."
+        )
     is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
     mesh = mesh.without(np.logical_not(is_reached))
     return MeshEstimate.of_nodes(mesh, costs)

@@ -41,7 +41,7 @@ def solved(program, rounds=6):
     iterate = program.solve(150, program.zero(), (20, 40, 80))
     for _ in range(rounds - 1):
         iterate = program.solve(150, iterate, (40,))
-    iterate, has_converged = program.solve_tightly(iterate, 300)
+    iterate, has_converged = program.solve_thoroughly(iterate, 300)
     assert has_converged
     u = iterate.values - program.at_goal(iterate.values)
     return u / max(1.0, program.slopes(u).max()), iterate
@@ -155,7 +155,7 @@ def test_more_iterations_never_end_with_a_worse_bound():
     program = program_of(BoxSpace(UNIT, *WALLS), (0.1, 0.2), num_cells=64)
     start, bounds = program.solve(20, program.zero()), []
     for most in (1, 11, 21, 500):
-        iterate, has_converged = program.solve_tightly(start, most)
+        iterate, has_converged = program.solve_thoroughly(start, most)
         u = iterate.values - program.at_goal(iterate.values)
         bounds.append(mean(program, program.rescaling(u)(u)))
         assert has_converged == (most == 500)
@@ -187,18 +187,13 @@ def solver_of(workspace, max_cells):
     return solver
 
 
-def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way_and_free_beside_one():
-    wall_beside = Workspace(((0, 0), (1, 1)), [[(0.0, 0.48), (0.8, 0.48), (0.8, 0.483), (0.0, 0.483)]])
-    for workspace, is_crossed in ((THIN_WALL, True), (wall_beside, False)):
-        solver = solver_of(workspace, 64)
-        likely = solver.likely_mesh()
-        lo, hi = likely.boxes
-        mixed = solver.mesh.state == CellState.MIXED
-        assert mixed.any() and (likely.state != CellState.MIXED).all()
-        np.testing.assert_array_equal(likely.state[~mixed], solver.mesh.state[~mixed])
-        deep = mixed & (hi[:, 1] < 0.5) & (lo[:, 0] > 0.3) if is_crossed else mixed & (hi[:, 0] < 0.6)
-        share = np.mean(likely.state[deep] == CellState.BLOCKED)
-        assert share > 0.9 if is_crossed else share < 0.9
+def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
+    solver = solver_of(THIN_WALL, 200)
+    likely, mixed = solver.likely_mesh(), solver.mesh.state == CellState.MIXED
+    np.testing.assert_array_equal(likely.state[~mixed], solver.mesh.state[~mixed])
+    lo, hi = likely.boxes
+    crossed = mixed & (hi[:, 1] < 0.5) & (lo[:, 0] > 0.3)
+    assert crossed.any() and (likely.state[crossed] == CellState.BLOCKED).all()
 
 
 def test_walls_too_thin_for_their_cells_are_refined_first():

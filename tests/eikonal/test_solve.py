@@ -77,7 +77,8 @@ def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
     assert np.abs(np.asarray(plr(x)) - truth).mean() < 0.02 * np.mean(upper - lower) < 0.01 * truth.mean()
 
 
-def test_files_keep_what_is_proven_and_where_nothing_is(plr, tmp_path):
+def test_files_keep_what_is_proven_and_where_nothing_is(tmp_path):
+    plr = solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60)
     save(plr, tmp_path / "file.plr")
     x = ROOM.sample_free(2000, 0)
     for other in (load(tmp_path / "file.plr"), from_bytes(plr.to_bytes())):
@@ -93,8 +94,6 @@ def test_a_leaf_a_cell_or_fewer_leaves_in_so_many_bytes_always_the_same(plr):
     assert few.num_bytes <= 150 < more.num_bytes <= 500
     assert few.to_bytes() == again.to_bytes()
     assert plr.to_bytes() == solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=200).to_bytes()
-    assert (plr.cells.depth[:, 0] == plr.cells.depth[:, 1]).all()
-    assert (few.cells.depth[:, 0] != few.cells.depth[:, 1]).any()
     check_bounds(few, ROOM, GOAL)
     x = ROOM.sample_free(2000, 0)
     assert np.asarray(few.bounds(x)[0]).mean() < np.asarray(plr.bounds(x)[0]).mean()
