@@ -41,7 +41,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
     """Whether some open sides are joined to others through no open ones."""
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
-    return (is_open & ~spread(is_first, is_open)).any(axis=1)
+    return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))
 
 
 def _edges(mesh: Mesh) -> tuple[Float[np.ndarray, "edges dim"], Float[np.ndarray, "edges dim"]]:

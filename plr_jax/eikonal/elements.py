@@ -22,8 +22,16 @@ from plr_jax.plr.partition.faces import eliminated, face_points, resolve
 
 
 class _Ties(NamedTuple):
-    """Nodes that are one with a node of another cell, nodes that lie on another cell's face elsewhere, and corners of
-    what two cells have in common of a face that are nodes of neither.
+    """What makes functions continuous across faces.
+
+    Attributes:
+        same: Nodes that are one with a node of another cell.
+        hanging: Nodes that lie elsewhere on another cell's face.
+        on_cell: That cell.
+        at: Where in it, from 0 to 1.
+        crossing: Two cells that are long along different axes, so that what they have in common of a face has a
+            corner that is a node of neither.
+        places: Where that is in both.
     """
 
     same: Int[np.ndarray, "2 pairs"]

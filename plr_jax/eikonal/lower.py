@@ -17,7 +17,8 @@ from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and no loss shows
 _SHARE = 0.8  # of the loss, in cells that are refined
-_LEAKING, _LAST = 0.1, 0.01
+_LEAKING = 0.1  # share of the loss in mixed cells, above which flows leak through walls
+_LAST = 0.01  # share of the cells that are left, which are used at once
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
 _FIRST, _NEXT = 100, 20  # iterations on the first mesh, and on those after it
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow

@@ -174,7 +174,7 @@ class Mesh:
         slot: Int[np.ndarray, "n dim"],
         most: Int[np.ndarray, "dim"] | None = None,
     ) -> Int[np.ndarray, "n"]:
-        """The leaves below nodes that hold slots as wide as the smallest cells, or what is halved no more than so often."""
+        """Below nodes, the leaves that hold slots as wide as the smallest cells, or parts that large."""
         tree, row, node = self.tree, np.arange(len(node)), node.copy()
         while True:
             at, axis = node[row], tree.axis[node[row]]
@@ -267,8 +267,8 @@ def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_
     if width.max() > _MOST_SLENDER * width.min():
         raise ValueError(
             f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out axis "
-            f"{np.argmin(width)}, along which nothing of the cost-to-go changes beside the others."
+            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
+            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
         )
     position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
     position = position.reshape(-1, space.domain.dim)

@@ -309,7 +309,7 @@ class _Poisson:
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         self.matrix = csr_matrix((self.divergence @ program.gradient)[1:, 1:])
         self._factors: Any = None
-        if program.dim <= 2 or (program.dim == 3 and self.matrix.shape[0] <= _MOST_FACTORED):
+        if program.dim <= 2 or (program.dim == 3 and len(program.goal) <= _MOST_FACTORED):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:

@@ -175,10 +175,10 @@ def solve_eikonal(
 
     Raises:
         ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or
-            too small (for one leaf, for four cells along each periodic axis, for cells at most 200,000 times as long as
-            wide, so that open cells have no sample or, without proof, so that no free motion leads to the goal),
-            ``certified=False`` comes with more than three axes or a tolerance,
-            bounds of the cost map are not positive and finite, or it is directional and the space's cost no length.
+            too small (for one leaf, for four cells along each periodic axis, for cells at most 200,000 times as long
+            as wide, for samples in all open cells or, without proof, for a free motion from a corner of a cell to the
+            goal), ``certified=False`` comes with more than three axes or a tolerance, bounds of the cost map are not
+            positive and finite, or it is directional and the space's cost no length.
 
     References:
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
@@ -232,8 +232,8 @@ def _swept(
     costs = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)(mesh.nodes)
     if not np.isfinite(costs).any():
         raise ValueError(
-            f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: allow more, "
-            "or leave out certified=False."
+            f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: allow "
+            "more, or leave out certified=False."
         )
     is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
     mesh = mesh.without(np.logical_not(is_reached))
