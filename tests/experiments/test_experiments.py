@@ -27,6 +27,7 @@ SECTIONED = (
     "everyday",
     "shaping",
     "costs",
+    "volumes",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -43,6 +44,7 @@ FAMILIES = {
     "grid_distance": ("--only", "rooms"),
     "shaping": ("--only", "learning"),
     "costs": ("--only", "estimates"),
+    "volumes": ("--only", "volumes"),
 }
 
 

@@ -1,0 +1,227 @@
+"""Volumes of voxels, and a large raster: estimates and proven bounds from what is free, beside scikit-fmm.
+
+``volumes``: rooms, boxes and a spiral ramp. The truth are paths of ``VoxelGraph(moves=26)``, pulled taut at any
+angle (``_taut_paths.py``). Broken is a lower bound above one of these, and an upper bound below the lower one or the
+straight line. ``files``: larger ones, from files as the Moving AI benchmarks have them; bounds are beside exact
+lengths of 26 moves, which are above the truth (by how much, ``volumes`` tells of its own). Peak memory is that of a
+process that does nothing else, with Python and JAX in it. ``raster``: a cost map, inflated, as a file of 8 KiB. The
+truth is a fast march of twice as many nodes along each axis as there are cells, and what that errs by is told by one
+of as many.
+
+Lengths are in voxels; errors and gaps are means, as shares of the mean truth. Seconds are of all cores: of certified
+PLRs with what is compiled for them, of estimates alone those of a second call, and of scikit-fmm with what prepares
+the march.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from experiments._made_volumes import Volume, boxes, first_free, rooms, sheets, spiral, write_3dmap
+from experiments._runner import Section, run
+from experiments._taut_paths import taut_paths
+from experiments.solving._rivals import marched
+from plr_jax import PLR, RasterCost, VoxelGraph, VoxelSpace, load, save, scenes, solve_eikonal
+
+POINTS, LENGTHS, PLACES, QUERIES = 2_000, 10_000, 20_000, 1_000_000
+LEAVES, BYTES = 50_000, 32_768  # of volumes; the bytes are those of estimates alone
+CELLS, CELL, RASTER_LEAVES, RASTER_BYTES = 1_000, 0.05, 40_000, 8_192  # of the raster; a cell's width is in meters
+CERTIFIED = (True, False)
+_ROUNDING = 1e-6
+_TURNS = 5
+
+Points = Float[np.ndarray, "n dim"]
+T = TypeVar("T")
+
+
+def volumes(seed: int, smoke: bool) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    made = {
+        "rooms": rooms(rng, (16, 16, 8) if smoke else (64, 64, 32), 8 if smoke else 16, 1.0 if smoke else 0.6),
+        "boxes": boxes(rng, (128, 128, 128), 60, 10, 45),
+        "spiral": spiral(64, 16),
+    }
+    parts = [_volume(name, free, seed, smoke) for name, free in list(made.items())[: 1 if smoke else None]]
+    return {"rows": [row for rows, _ in parts for row in rows], "rivals": [rival for _, rival in parts]}
+
+
+def _volume(name: str, free: Volume, seed: int, smoke: bool) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    space, goal, rng = VoxelSpace(free), first_free(free) + 0.5, np.random.default_rng(seed)
+    graph = VoxelGraph(free, goal)
+    x = _reached(graph, 50 if smoke else POINTS, rng)
+    x = np.floor(x) + rng.random(x.shape)
+    truth = taut_paths(space, graph, x).lengths
+
+    def solve(certified: bool) -> PLR:
+        limits = {
+            "max_leaves": 300 if smoke else LEAVES,
+            "max_bytes": None if certified else 1_024 if smoke else BYTES,
+        }
+        return solve_eikonal(space, goal, **limits, certified=certified)
+
+    rows, queries = [], jnp.asarray(rng.random((100 if smoke else QUERIES, 3)) * free.shape, jnp.float32)
+    for certified in CERTIFIED:
+        if not certified:
+            solve(certified)
+        seconds, plr = _timed(lambda certified=certified: solve(certified))
+        row = {"volume": name, "certified": certified, "points": len(x), "mean length": float(truth.mean())}
+        row |= {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "seconds": seconds}
+        row |= {"ns a query": 1e9 * _query_seconds(plr, queries) / len(queries)}
+        row |= {"error": _relative(np.asarray(plr(x), float), truth)}
+        rows.append(row | (_bounds(plr, x, truth, goal) if certified else {}))
+    seconds, march = _timed(lambda: marched(space, goal, free.shape))
+    found = march(x)
+    rival = {"volume": name, "scikit-fmm": _relative(found, truth), "its seconds": seconds}
+    rival |= {"its nodes": free.size, "unanswered": int(np.count_nonzero(~np.isfinite(found)))}
+    return rows, rival | {"26 moves": _relative(graph(x), truth)}
+
+
+def _bounds(plr: PLR, x: Points, truth: Float[np.ndarray, "n"], goal: Float[np.ndarray, "dim"]) -> dict[str, Any]:
+    """How far bounds are apart, and how many are broken; and upper bounds by paths shorter than the truth's."""
+    lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
+    known, above = np.isfinite(upper), (1 + _ROUNDING) * upper
+    too_low = above < np.maximum(lower, np.linalg.norm(x - goal, axis=1))
+    return {
+        "lower / truth": float(lower.mean() / truth.mean()),
+        "gap": float((upper - lower)[known].mean() / truth[known].mean()) if known.any() else None,
+        "upper known": float(known.mean()),
+        "broken": int(np.count_nonzero((lower > (1 + _ROUNDING) * truth) | too_low)),
+        "upper below truth": int(np.count_nonzero(above < truth)),
+    }
+
+
+def files(seed: int, smoke: bool) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    if smoke:
+        made = {"boxes": boxes(rng, (24, 16, 16), 8, 3, 8)}
+    else:
+        made = {
+            "caves": sheets(rng, (256, 256, 128), 8),
+            "rooms": rooms(rng, (256, 256, 64), 32, 0.6),
+            "boxes": boxes(rng, (400, 300, 200), 230, 5, 18),
+        }
+    return {"rows": [_file(name, free, seed, smoke) for name, free in made.items()]}
+
+
+def _file(name: str, free: Volume, seed: int, smoke: bool) -> dict[str, Any]:
+    goal = first_free(free) + 0.5
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "volume.3dmap"
+        write_3dmap(path, free)
+        code = (
+            f"from experiments.volumes import built; built({str(path)!r}, {goal.tolist()}, {300 if smoke else None})"
+        )
+        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+        num_bytes, plr = path.stat().st_size, load(path.with_suffix(".plr"))
+    began = time.process_time()
+    graph = VoxelGraph(free, goal)
+    x = _reached(graph, 200 if smoke else LENGTHS, np.random.default_rng(seed))
+    length = graph(x)
+    of_graph = time.process_time() - began
+    lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
+    known = np.isfinite(upper)
+    return {
+        "volume": name,
+        "voxels": " x ".join(map(str, free.shape)),
+        "bytes of the volume": num_bytes,
+        **json.loads(done.stdout.splitlines()[-1]),
+        "bytes": plr.num_bytes,
+        "lengths": len(x),
+        "mean length": float(length.mean()),
+        "lower > length": int(np.count_nonzero(lower > (1 + _ROUNDING) * length)),
+        "upper > length": int(np.count_nonzero(upper > (1 + _ROUNDING) * length)),
+        "upper known": float(known.mean()),
+        "lower / length": float((lower / length).mean()),
+        "upper / length": float((upper / length)[known].mean()) if known.any() else None,
+        "seconds of 26 moves": of_graph,
+    }
+
+
+def built(path: str, goal: list[float], max_leaves: int | None) -> None:
+    """Read a volume, and save its PLR beside it; printed is what that took, in the process that does this alone."""
+    space = VoxelSpace(scenes.read_volume(path))
+    seconds, plr = _timed(lambda: solve_eikonal(space, goal, max_leaves=max_leaves))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    save(plr, Path(path).with_suffix(".plr"))
+    print(json.dumps({"seconds": seconds, "MB at most": memory / 1e3}))
+
+
+def raster(seed: int, smoke: bool) -> dict[str, Any]:
+    cells, rng = 100 if smoke else CELLS, np.random.default_rng(seed)
+    cost = cost_map(rng, cells)
+    space = cost.space()
+    x = cost.domain.lo + cost.domain.width * rng.random((200 if smoke else 3 * PLACES, 2))
+    goal, x = x[space.is_free(x)][0], x[space.is_free(x)][1 : PLACES + 1]
+    limits = {"max_leaves": 1_000 if smoke else RASTER_LEAVES, "max_bytes": RASTER_BYTES}
+
+    def solve() -> PLR:
+        return solve_eikonal(space, goal, cost_map=cost, **limits, certified=False)
+
+    first, (seconds, plr) = _timed(solve)[0], _timed(solve)
+    of_truth, truth = _timed(lambda: marched(space, goal, (2 * cells,) * 2, cost)(x))
+    of_half, half = _timed(lambda: marched(space, goal, (cells,) * 2, cost)(x))
+    known = np.isfinite(truth)
+    row = {"cells": f"{cells} x {cells}", "free": float(cost.free.mean()), "points": int(np.count_nonzero(known))}
+    row |= {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "seconds": seconds, "of the first call": first}
+    row |= {"mean cost": float(truth[known].mean()), "error": _relative(np.asarray(plr(x), float), truth)}
+    row |= {"scikit-fmm of as many nodes": _relative(half, truth), "its seconds": of_half}
+    return {"rows": [row | {"seconds of the truth": of_truth}]}
+
+
+def cost_map(rng: np.random.Generator, cells: int) -> RasterCost:
+    """Walls with doors, blocks and noise, inflated as a robot's navigation does it."""
+    blocked, room = np.zeros((cells, cells), bool), cells // 5
+    for wall in range(room, cells, room):
+        blocked[wall : wall + 4] = blocked[:, wall : wall + 4] = True
+    for wall in range(room, cells, room):
+        for door in rng.integers(8, room - 48 if room > 60 else 9, (5, 2)) + room * np.arange(5)[:, None]:
+            blocked[wall : wall + 4, door[0] : door[0] + 40] = False
+            blocked[door[1] : door[1] + 40, wall : wall + 4] = False
+    for row, column, height, width in rng.integers((0, 0, 4, 4), (cells, cells, 30, 30), (cells // 5, 4)):
+        blocked[row : row + height, column : column + width] = True
+    noise = ndimage.gaussian_filter(rng.normal(size=blocked.shape), 10)
+    factor = 1 + np.clip(0.3 * noise / noise.std(), 0, 1)
+    bounds = ((0.0, 0.0), (cells * CELL,) * 2)
+    whole = RasterCost(np.where(blocked, np.inf, factor), bounds)
+    return whole.inflated(0.22, inflation_radius=1.5, cost_scaling_factor=3.0)
+
+
+def _reached(graph: VoxelGraph, num: int, rng: np.random.Generator) -> Points:
+    """Centers of random voxels, of those that the goal is reached from."""
+    center = np.argwhere(graph.free) + 0.5
+    return rng.choice(center[np.isfinite(graph(center))], num)
+
+
+def _timed(call: Callable[[], T]) -> tuple[float, T]:
+    began = time.process_time()
+    result = call()
+    return time.process_time() - began, result
+
+
+def _query_seconds(plr: PLR, x: Any) -> float:
+    ask = jax.jit(lambda plr, x: plr(x))
+    ask(plr, x).block_until_ready()
+    return float(np.median([_timed(lambda: ask(plr, x).block_until_ready())[0] for _ in range(_TURNS)]))
+
+
+def _relative(found: np.ndarray, truth: np.ndarray) -> float:
+    known = np.isfinite(truth) & np.isfinite(found)
+    return float(np.abs(found[known] - truth[known]).mean() / truth[known].mean())
+
+
+SECTIONS = {each.__name__: Section(each) for each in (volumes, files, raster)}
+
+if __name__ == "__main__":
+    run("volumes", __doc__, SECTIONS)
