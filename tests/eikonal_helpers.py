@@ -56,14 +56,16 @@ class BoxSpace:
 
 
 def random_mesh(seed, dim, *, rounds=3, blocked=0.3, periodic=None):
-    """Cells halved along all axes where chance says so, of random states; not balanced."""
+    """Cells halved along all axes or along one where chance says so, of random states; not balanced."""
     rng = np.random.default_rng(seed)
     cells = Cells.root(dim)
     for _ in range(2 if periodic is not None else 1):
         cells = halved(cells)
     for _ in range(rounds):
-        which = rng.random(len(cells)) < 0.3
-        cells = cells[~which].append(halved(cells[which]))
+        which, once = rng.random(len(cells)) < 0.3, rng.random(len(cells)) < 0.3
+        axis = rng.integers(dim, size=len(cells))
+        alone = cells[once & ~which].split(axis[once & ~which])
+        cells = cells[~which & ~once].append(halved(cells[which]), alone)
     state = rng.choice(list(CellState), len(cells), p=[blocked, (1 - blocked) / 2, (1 - blocked) / 2])
     state[0] = CellState.FREE
     return mesh_of(Box(np.zeros(dim), 1 + np.arange(dim), periodic), cells, state.astype(np.int8))

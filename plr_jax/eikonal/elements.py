@@ -17,7 +17,6 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.plr.partition.faces import eliminated, face_points, resolve
 
 
@@ -29,8 +28,8 @@ class _Ties(NamedTuple):
         hanging: Nodes that lie elsewhere on another cell's face.
         on_cell: That cell.
         at: Where in it, from 0 to 1.
-        crossing: Two cells that are long along different axes, so that what they have in common of a face has a
-            corner that is a node of neither.
+        crossing: Two cells that are long along different axes, so that a function on what they have in common of a
+            face has a node that is a node of neither.
         places: Where that is in both.
     """
 
@@ -204,13 +203,12 @@ def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _
         depth = mesh.cells.depth[faces.lower] - mesh.cells.depth[faces.upper]
         depth[:, axis] = 0
         faces = faces[(depth.min(axis=1) < 0) & (depth.max(axis=1) > 0)]
-        bits = corner_bits(mesh.dim)
-        x = face_points(mesh.cells, faces, bits[bits[:, axis] == 0].astype(float)).reshape(-1, mesh.dim)
-        pair = np.repeat(np.stack([faces.lower, faces.upper]), len(bits) // 2, axis=1)
-        t = mesh.local(pair, x[None])
+        x = face_points(mesh.cells, faces, lattice[lattice[:, axis] == 0])
+        pair = np.repeat(np.stack([faces.lower, faces.upper]), x.shape[1], axis=1)
+        t = mesh.local(pair, x.reshape(1, -1, mesh.dim))
         t[:, :, axis] = [[1.0], [0.0]]
-        is_end = ((t == 0) | (t == 1)).all(axis=2)
-        crossing.append(pair[:, ~is_end.any(axis=0)])
-        places.append(t[:, ~is_end.any(axis=0)])
+        is_node = (t * degree == np.rint(t * degree)).all(axis=2).any(axis=0)
+        crossing.append(pair[:, ~is_node])
+        places.append(t[:, ~is_node])
     ends = (np.concatenate(part, axis=1) for part in (crossing, places))
     return _Ties(np.concatenate(same, axis=1), *(np.concatenate(part) for part in (hanging, on_cell, at)), *ends)
