@@ -297,24 +297,24 @@ def _cheapest(
         )
         lines[axis] = _Line(rises, halves, has, share, costs_rise)
 
+    twist = _Twist.of(before.ratio, ratio, lines, center, row)
+
     def interpolated(steps):
-        value, cost = ratio, at_middle
+        value, cost = ratio + twist.change(steps), at_middle
         for axis, line in lines.items():
             value = value + line.change(steps[axis])
             cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, line.costs_rise)
         return value, cost
 
-    steps = [jnp.full(shape, float(step)) for step in center]
-    brackets = {
-        axis: (jnp.where(line.has[-1], -1.0, 0.0), jnp.where(line.has[1], 1.0, 0.0)) for axis, line in lines.items()
-    }
-    for _ in range(_NEWTON_STEPS):
+    def improved(_, state):
+        steps, brackets = state
         value, cost = interpolated(steps)
         change = [spacing[axis] * steps[axis] for axis in axes]
         end = _to_goal(metric, spacing, place, change)
-        straight, new = grid.straight.of(metric, end), list(steps)
+        straight, new, closer = grid.straight.of(metric, end), list(steps), {}
         for axis, line in lines.items():
             h, (slope, bend) = spacing[axis], line.derivatives(steps[axis])
+            slope = slope + twist.slope(steps, axis)
             of_end, of_cost = grid.straight.derivatives(metric, end, axis), cost.derivatives(metric, change, axis)
             first = slope * straight + h * (of_cost[0] - value * of_end[0]) + line.costs_rise.of(metric, change)
             second = bend * straight - 2 * slope * h * of_end[0] + h**2 * (value * of_end[1] + of_cost[1])
@@ -323,8 +323,14 @@ def _cheapest(
             high = jnp.where(first > 0, steps[axis], brackets[axis][1])
             step = steps[axis] - first / jnp.maximum(second, floor)
             new[axis] = jnp.where((step >= low) & (step <= high), step, (low + high) / 2)
-            brackets[axis] = low, high
-        steps = new
+            closer[axis] = low, high
+        return new, closer
+
+    steps = [jnp.full(shape, float(step), costs.factor.dtype) for step in center]
+    brackets = {
+        axis: (jnp.where(line.has[-1], -1.0, 0.0), jnp.where(line.has[1], 1.0, 0.0)) for axis, line in lines.items()
+    }
+    steps, _ = lax.fori_loop(0, _NEWTON_STEPS, improved, (steps, brackets))
     value = jnp.where(is_known, total(steps, *interpolated(steps)), jnp.inf)
     way = jnp.where(value < least, jnp.stack(steps), way)
     straight = grid.straight.of(metric, _to_goal(metric, spacing, place, [0.0] * metric.dim))
@@ -359,6 +365,56 @@ class _Line(NamedTuple):
         at_node = self.share * (up * self.has[1] + down * self.has[-1])
         slope = jnp.where(step == 0, at_node, jnp.where(step > 0, up, down))
         return slope, 2 * jnp.where(step > 0, self.halves[1], self.halves[-1])
+
+
+class _Twist(NamedTuple):
+    """What the ratio changes by between two axes of a plane, beside what it does along each: bilinear by quadrant.
+
+    Where no motion leads to the node across, the ratio there is taken for the larger one beside it: it is never less
+    than that of all nodes around.
+
+    Attributes:
+        axes: The two axes; none, where the plane has one.
+        quadrants: By side along both, what it is at the node across.
+    """
+
+    axes: tuple[int, ...]
+    quadrants: dict[tuple[int, int], Plane]
+
+    @classmethod
+    def of(
+        cls,
+        around: Float[Array, "sides *plane"],
+        middle: Plane,
+        lines: dict[int, _Line],
+        center: Sequence[int],
+        row: dict[tuple[int, ...], int],
+    ) -> "_Twist":
+        """That of the ratios of nodes around one, of which the middle one is known."""
+        if len(lines) < 2:
+            return cls((), {})
+        (a, along_a), (b, along_b) = lines.items()
+        quadrants = {}
+        for sides in product((1, -1), repeat=2):
+            place = dict(zip((a, b), sides, strict=True))
+            across = around[row[tuple(place.get(axis, step) for axis, step in enumerate(center))]]
+            rises = along_a.rises[sides[0]], along_b.rises[sides[1]]
+            across = jnp.where(jnp.isfinite(across), across, middle + jnp.maximum(*rises))
+            quadrants[sides] = across - middle - sum(rises)
+        return cls((a, b), quadrants)
+
+    def change(self, steps: Sequence[Plane]) -> Any:
+        """What the ratio changes by."""
+        return 0.0 if not self.axes else steps[self.axes[0]] * self.slope(steps, self.axes[0])
+
+    def slope(self, steps: Sequence[Plane], axis: int) -> Any:
+        """The derivative along an axis."""
+        if not self.axes:
+            return 0.0
+        a, b = (steps[each] for each in self.axes)
+        up, down = (jnp.where(b > 0, self.quadrants[side, 1], self.quadrants[side, -1]) for side in (1, -1))
+        other = b if axis == self.axes[0] else a
+        return jnp.sign(a if axis == self.axes[0] else b) * jnp.abs(other) * jnp.where(a > 0, up, down)
 
 
 def _row(costs: NodeCosts, row: int, dim: int) -> NodeCosts:

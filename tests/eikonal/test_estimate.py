@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from eikonal_helpers import ROOM, BoxSpace
+from space_helpers import rectangle
 
-from plr_jax import Climbing, LipschitzCost, PlaneSpace, VisibilityGraph
+from plr_jax import Climbing, LipschitzCost, PlaneSpace, VisibilityGraph, Workspace
 from plr_jax.eikonal.estimate import swept_estimate
 from plr_jax.geometry.box import Box
 
@@ -76,3 +77,16 @@ def test_ways_lead_to_the_goal():
     x = (ROOM.sample_free(100, 1) - ROOM.bounds.lo) / ROOM.bounds.width
     *_, last = estimate.along(x, (50, 500))
     assert np.abs(last - goal).max() < 0.05
+
+
+def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
+    """Walls as high as the domain, with a window: the distance is that of the plane and the height, by Pythagoras."""
+    walls = [[(0.5, 0.0), (0.53, 0.375)], [(0.5, 0.625), (0.53, 1.0)]]
+    space, goal = BoxSpace(Box((0,) * 3, (1,) * 3), *([(*lo, 0), (*hi, 1)] for lo, hi in walls)), (0.2, 0.13, 0.37)
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(*lo, *hi) for lo, hi in walls])
+    estimate = swept_estimate(space, None, np.array(goal), 4096)
+    assert estimate.ratio.min() > 0.995
+    x = samples(space.domain)
+    x = x[space.is_free(x)]
+    truth = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
+    assert np.abs(estimate(x) - truth).mean() < 0.01 * truth.mean()
