@@ -36,7 +36,7 @@ from plr_jax import PLR, RasterCost, VoxelGraph, VoxelSpace, load, save, scenes,
 
 POINTS, LENGTHS, PLACES, QUERIES = 2_000, 10_000, 20_000, 1_000_000
 LEAVES, BYTES = 21_000, 32_768  # of volumes, in less than 64 KiB; the bytes are those of estimates alone
-CELLS, CELL, RASTER_LEAVES, RASTER_BYTES = 1_000, 0.05, 40_000, 8_192  # of the raster; a cell's width is in meters
+CELLS, CELL, RASTER_LEAVES, RASTER_BYTES = 1_000, 0.05, 160_000, 8_192  # of the raster; a cell's width is in meters
 CERTIFIED = (True, False)
 _ROUNDING = 1e-6
 _TURNS = 5

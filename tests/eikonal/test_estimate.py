@@ -89,4 +89,4 @@ def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
     x = samples(space.domain)
     x = x[space.is_free(x)]
     truth = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
-    assert np.abs(estimate(x) - truth).mean() < 0.02 * truth.mean()
+    assert np.abs(estimate(x) - truth).mean() < 0.03 * truth.mean()

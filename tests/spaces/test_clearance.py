@@ -95,7 +95,7 @@ def test_boxes_by_hand():
 @pytest.mark.parametrize("corner", [(1e-3, 0.1, 7.0), (-1e6, -0.3, -1e-9), (-np.pi, 1e5, 123.4)])
 def test_cells_at_faces_of_any_domain_are_in_it(corner):
     lo = np.array(corner)
-    for hi in (lo + np.array([0.1, 1e3, 1.7]), np.abs(lo) + 1e-3):
+    for hi in (lo + np.array([0.1, 1e3, 1.7]), np.abs(lo) + 1e-3 * np.abs(lo).max()):
         space = ClearanceSpace((lo, hi), lambda q: np.ones(len(q)), 0)
         plr = solve_eikonal(space, lo, max_leaves=8)
         assert np.isfinite(plr.max_error)
