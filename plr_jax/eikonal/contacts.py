@@ -49,9 +49,7 @@ def _edges(mesh: Mesh) -> tuple[Float[np.ndarray, "edges dim"], Float[np.ndarray
     flush, beside = mesh.flush_pairs
     shares = np.array(list(product((0.0, 0.5, 1.0), repeat=mesh.dim)))
     lo, hi = (mesh.fractions(flush, np.full(mesh.dim, end)) for end in (0.0, 1.0))
-    low, high = (mesh.fractions(beside, np.full(mesh.dim, end)) for end in (0.0, 1.0))
-    turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)  # across a seam
-    low, high = np.maximum(low - turn, lo), np.minimum(high - turn, hi)
+    low, high, _ = mesh.shared_boxes(flush, beside)
     x = low[:, None] + (high - low)[:, None] * shares
     half = np.where(shares == 0.5, (high - low)[:, None] / 2, 0.0)
     is_edge = ((x == lo[:, None]) | (x == hi[:, None])).sum(axis=2) > 1

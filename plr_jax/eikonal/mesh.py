@@ -70,6 +70,19 @@ class Mesh:
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
+    def shared_boxes(
+        self, cell: Int[np.ndarray, "n"], other: Int[np.ndarray, "n"]
+    ) -> tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"]]:
+        """What cells have in common with others that touch them: ends, as fractions, and turns to the others.
+
+        Turns are 0, or 1 or -1 where that is across the seam of a periodic axis.
+        """
+        (lo, hi), (low, high) = (
+            [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
+        )
+        turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)
+        return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
+
     @cached_property
     def faces(self) -> SharedFaces:
         """Faces between cells that are not blocked."""

@@ -71,13 +71,9 @@ def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Content
     """The leaves, with bounds of each over all cells of the mesh that meet it."""
     mesh, num_leaves, corners = field.mesh, len(contents.cells), corner_bits(field.mesh.dim)
     leaf, within, cell = _answering(tree, mesh)
-    ends = [
-        (np.ldexp(cells.position[k], -cells.depth[k]), np.ldexp(cells.position[k] + 1.0, -cells.depth[k]))
-        for cells, k in ((contents.cells, leaf), (mesh.cells, within), (mesh.cells, cell))
-    ]
-    turn = np.where(ends[2][0] > ends[1][1], 1.0, 0.0) - np.where(ends[2][1] < ends[1][0], 1.0, 0.0)  # across a seam
-    ends[2] = ends[2][0] - turn, ends[2][1] - turn
-    lo, hi = np.max([lo for lo, _ in ends], axis=0), np.min([hi for _, hi in ends], axis=0)
+    lo, hi, turn = mesh.shared_boxes(within, cell)
+    position, depth = contents.cells.position[leaf], contents.cells.depth[leaf]
+    lo, hi = np.maximum(lo, np.ldexp(position, -depth)), np.minimum(hi, np.ldexp(position + 1.0, -depth))
     meet = (lo <= hi).all(axis=1)
     leaf, cell, turn, lo, hi = (each[meet] for each in (leaf, cell, turn, lo, hi))
     coefficients = filled_coefficients(contents)
