@@ -113,14 +113,10 @@ class SlopeSets:
         t = np.sum((g - first) * along, axis=0) / np.maximum(np.sum(along**2, axis=0), _TINY)
         return first + np.clip(t, 0.0, 1.0) * along
 
-    def lengths(self, g: Vectors) -> Float[np.ndarray, "controls"]:
-        """The radii of the balls that would just hold vectors."""
-        g = g - self._nearest_offset(g)
-        return np.sqrt(np.max([np.sum(g[list(block)] ** 2, axis=0) for block in self.blocks], axis=0))
-
     def factors(self, g: Vectors) -> Float[np.ndarray, "controls"]:
         """By what vectors have to be divided, at the most, to be in the sets; below 1 within."""
-        length = self.lengths(g)
+        g = g - self._nearest_offset(g)
+        length = np.sqrt(np.max([np.sum(g[list(block)] ** 2, axis=0) for block in self.blocks], axis=0))
         if self.pulls is None:
             return length / self.radius
         inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball about 0

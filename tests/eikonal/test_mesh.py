@@ -237,3 +237,10 @@ def test_motions_are_free_where_all_samples_are():
     q1 = np.array([[1.5, 0.5], [1.5, 0.1], [0.1, 0.5], [0.5, 0.5]])
     assert SAMPLED.are_free(q0, q1).tolist() == [True, True, True, False]  # the first one goes around the back
     assert SAMPLED.are_free(q0, q1).tolist() == SPACE.are_free(q0, q1).tolist()
+
+
+@pytest.mark.parametrize("width", [(1e6, 1e-3), (1e-6, 1.0, 1e6)])
+def test_cells_that_are_too_slender_are_refused(width):
+    space = BoxSpace(Box(np.zeros(len(width)), width))
+    with pytest.raises(ValueError, match=rf"200,000 times as long as wide.*leave out axis {np.argmin(width)}"):
+        mesh_in(space, 64, 64)

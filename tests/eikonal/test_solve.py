@@ -65,6 +65,12 @@ def test_estimates_alone_are_of_few_axes_and_have_no_tolerance():
         solve_eikonal(BoxSpace(Box((0,) * 4, (1,) * 4)), np.full(4, 0.5), certified=False)
 
 
+def test_an_estimate_of_a_goal_that_no_node_sees_is_refused():
+    walls = [(0.0, 0.0), (0.55, 1.0)], [(0.6, 0.0), (1.0, 1.0)], [(0.0, 0.0), (1.0, 0.3)], [(0.0, 0.4), (1.0, 1.0)]
+    with pytest.raises(ValueError, match="a corner of a cell has a free motion to the goal, got 16"):
+        solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.57, 0.35), max_leaves=16, certified=False)
+
+
 def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
     """The speed is linear, so that paths are arcs."""
     speed = lambda q: 0.5 + 3 * q[:, 1]  # noqa: E731
