@@ -6,7 +6,6 @@ about as many nodes as the PLR has cells, and is interpolated between them. Seco
 of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too.
 """
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +15,7 @@ from jaxtyping import Float
 from scipy import ndimage
 from scipy.interpolate import RegularGridInterpolator
 
+from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
 from plr_jax import CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
 
@@ -94,17 +94,7 @@ def _space() -> PlaneSpace:
 
 
 def _cpu_seconds(call: Callable[[], Any], turns: int) -> float:
-    seconds = []
-    for _ in range(turns):
-        began = time.process_time()
-        call()
-        seconds.append(time.process_time() - began)
-    return float(np.median(seconds))
-
-
-def _relative(found: np.ndarray, truth: np.ndarray) -> float:
-    known = np.isfinite(truth) & np.isfinite(found)
-    return float(np.abs(found - truth)[known].mean() / truth[known].mean())
+    return float(np.median([timed(call)[0] for _ in range(turns)]))
 
 
 def estimates(seed: int, smoke: bool) -> dict[str, Any]:
@@ -124,12 +114,12 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
                 {
                     "map": name,
                     "cells": plr.num_leaves,
-                    "error": _relative(np.asarray(plr(x), float), truth),
+                    "error": relative_error(np.asarray(plr(x), float), truth),
                     "seconds": _cpu_seconds(build, _TURNS),
                     "nodes of scikit-fmm": (nodes + 1) * (2 * nodes + 1),
-                    "its error": _relative(rival(x), truth),
+                    "its error": relative_error(rival(x), truth),
                     "its seconds": _cpu_seconds(march, _TURNS),
-                    "of the truth": _relative(half, truth),
+                    "of the truth": relative_error(half, truth),
                 }
             )
     return {"rows": rows}
@@ -145,9 +135,9 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
         )
         spare = 2 * np.nanmax(np.abs(truth - half))
         for cells in (300,) if smoke else (10_000, 40_000) if name == "ramp" else (10_000,):
-            began = time.process_time()
-            plr = solve_eikonal(space, GOAL, cost_map=maps[name], max_leaves=cells)
-            seconds = time.process_time() - began
+            seconds, plr = timed(
+                lambda name=name, cells=cells: solve_eikonal(space, GOAL, cost_map=maps[name], max_leaves=cells)
+            )
             lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
             both = np.isfinite(upper) & np.isfinite(truth)
             rows.append(
@@ -155,7 +145,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
                     "map": name,
                     "cells": plr.num_leaves,
                     "seconds": seconds,
-                    "error": _relative(np.asarray(plr(x), float), truth),
+                    "error": relative_error(np.asarray(plr(x), float), truth),
                     "gap": float((upper - lower)[both].mean() / truth[both].mean()),
                     "broken": int(np.count_nonzero((lower > truth + spare) | (upper < truth - spare))),
                     "points": len(x),

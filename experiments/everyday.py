@@ -11,7 +11,6 @@
 
 import json
 import re
-import resource
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments._measures import peak_megabytes
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._timing import interleaved
@@ -132,14 +132,14 @@ def scanned(seed: int, smoke: bool) -> dict[str, float]:
     began = time.perf_counter()
     oracle = VisibilityGraph(workspace, goal)
     plr = construct(oracle, workspace.bounds, leaf="best", max_bytes=4_096)
-    seconds, memory = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    seconds, memory = time.perf_counter() - began, peak_megabytes()
     x = workspace.sample_free(20_000, seed + 1)
     distance = oracle(x)
     error = np.abs(np.asarray(plr(x)) - distance)[np.isfinite(distance)]
     return {
         "vertices": len(workspace.boundary.vertices),
         "seconds": seconds,
-        "GB at most": memory / 1e6,
+        "GB at most": memory / 1e3,
         "bytes": plr.num_bytes,
         "mean error": float(error.mean()),
         "mean distance": float(distance[np.isfinite(distance)].mean()),

@@ -18,9 +18,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +28,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from experiments._made_volumes import Volume, boxes, first_free, rooms, sheets, spiral, write_3dmap
+from experiments._measures import peak_megabytes, relative_error, timed
 from experiments._runner import Section, run
 from experiments._taut_paths import taut_paths
 from experiments.solving._rivals import marched
@@ -42,7 +42,6 @@ _ROUNDING = 1e-6
 _TURNS = 5
 
 Points = Float[np.ndarray, "n dim"]
-T = TypeVar("T")
 
 
 def volumes(seed: int, smoke: bool) -> dict[str, Any]:
@@ -74,17 +73,17 @@ def _volume(name: str, free: Volume, seed: int, smoke: bool) -> tuple[list[dict[
     for certified in CERTIFIED:
         if not certified:
             solve(certified)
-        seconds, plr = _timed(lambda certified=certified: solve(certified))
+        seconds, plr = timed(lambda certified=certified: solve(certified))
         row = {"volume": name, "certified": certified, "points": len(x), "mean length": float(truth.mean())}
         row |= {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "seconds": seconds}
         row |= {"ns a query": 1e9 * _query_seconds(plr, queries) / len(queries)}
-        row |= {"error": _relative(np.asarray(plr(x), float), truth)}
+        row |= {"error": relative_error(np.asarray(plr(x), float), truth)}
         rows.append(row | (_bounds(plr, x, truth, goal) if certified else {}))
-    seconds, march = _timed(lambda: marched(space, goal, free.shape))
+    seconds, march = timed(lambda: marched(space, goal, free.shape))
     found = march(x)
-    rival = {"volume": name, "scikit-fmm": _relative(found, truth), "its seconds": seconds}
+    rival = {"volume": name, "scikit-fmm": relative_error(found, truth), "its seconds": seconds}
     rival |= {"its nodes": free.size, "unanswered": int(np.count_nonzero(~np.isfinite(found)))}
-    return rows, rival | {"26 moves": _relative(graph(x), truth)}
+    return rows, rival | {"26 moves": relative_error(graph(x), truth)}
 
 
 def _bounds(plr: PLR, x: Points, truth: Float[np.ndarray, "n"], goal: Float[np.ndarray, "dim"]) -> dict[str, Any]:
@@ -151,11 +150,9 @@ def _file(name: str, free: Volume, seed: int, smoke: bool) -> dict[str, Any]:
 def built(path: str, goal: list[float], max_leaves: int | None) -> None:
     """Read a volume, and save its PLR beside it; printed is what that took, in the process that does this alone."""
     space = VoxelSpace(scenes.read_volume(path))
-    seconds, plr = _timed(lambda: solve_eikonal(space, goal, max_leaves=max_leaves))
-    # Not by getrusage, which counts what the process that started this one had.
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text("ascii").splitlines())
+    seconds, plr = timed(lambda: solve_eikonal(space, goal, max_leaves=max_leaves))
     save(plr, Path(path).with_suffix(".plr"))
-    print(json.dumps({"seconds": seconds, "MB at most": int(status["VmHWM"].split()[0]) / 1e3}))
+    print(json.dumps({"seconds": seconds, "MB at most": peak_megabytes()}))
 
 
 def raster(seed: int, smoke: bool) -> dict[str, Any]:
@@ -169,14 +166,14 @@ def raster(seed: int, smoke: bool) -> dict[str, Any]:
     def solve() -> PLR:
         return solve_eikonal(space, goal, cost_map=cost, **limits, certified=False)
 
-    first, (seconds, plr) = _timed(solve)[0], _timed(solve)
-    of_truth, truth = _timed(lambda: marched(space, goal, (2 * cells,) * 2, cost)(x))
-    of_half, half = _timed(lambda: marched(space, goal, (cells,) * 2, cost)(x))
+    first, (seconds, plr) = timed(solve)[0], timed(solve)
+    of_truth, truth = timed(lambda: marched(space, goal, (2 * cells,) * 2, cost)(x))
+    of_half, half = timed(lambda: marched(space, goal, (cells,) * 2, cost)(x))
     known = np.isfinite(truth)
     row = {"cells": f"{cells} x {cells}", "free": float(cost.free.mean()), "points": int(np.count_nonzero(known))}
     row |= {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "seconds": seconds, "of the first call": first}
-    row |= {"mean cost": float(truth[known].mean()), "error": _relative(np.asarray(plr(x), float), truth)}
-    row |= {"scikit-fmm of as many nodes": _relative(half, truth), "its seconds": of_half}
+    row |= {"mean cost": float(truth[known].mean()), "error": relative_error(np.asarray(plr(x), float), truth)}
+    row |= {"scikit-fmm of as many nodes": relative_error(half, truth), "its seconds": of_half}
     return {"rows": [row | {"seconds of the truth": of_truth}]}
 
 
@@ -204,21 +201,10 @@ def _reached(graph: VoxelGraph, num: int, rng: np.random.Generator) -> Points:
     return rng.choice(center[np.isfinite(graph(center))], num)
 
 
-def _timed(call: Callable[[], T]) -> tuple[float, T]:
-    began = time.process_time()
-    result = call()
-    return time.process_time() - began, result
-
-
 def _query_seconds(plr: PLR, x: Any) -> float:
     ask = jax.jit(lambda plr, x: plr(x))
     ask(plr, x).block_until_ready()
-    return float(np.median([_timed(lambda: ask(plr, x).block_until_ready())[0] for _ in range(_TURNS)]))
-
-
-def _relative(found: np.ndarray, truth: np.ndarray) -> float:
-    known = np.isfinite(truth) & np.isfinite(found)
-    return float(np.abs(found[known] - truth[known]).mean() / truth[known].mean())
+    return float(np.median([timed(lambda: ask(plr, x).block_until_ready())[0] for _ in range(_TURNS)]))
 
 
 SECTIONS = {each.__name__: Section(each) for each in (volumes, files, raster)}

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -194,6 +196,14 @@ def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
     lo, hi = likely.boxes
     crossed = mixed & (hi[:, 1] < 0.5) & (lo[:, 0] > 0.3)
     assert crossed.any() and (likely.state[crossed] == CellState.BLOCKED).all()
+
+
+def test_cells_are_likely_free_where_motions_pass_beside_what_is_in_them():
+    places = [np.array(place) for place in itertools.product(np.arange(7) / 8 + 0.03, repeat=2)]
+    corners = np.array([(0, 0), (0.02, 0), (0.02, 0.02), (0, 0.02)])
+    solver = solver_of(Workspace(((0, 0), (1, 1)), [place + corners for place in places]), 80)
+    likely, mixed = solver.likely_mesh(), solver.mesh.state == CellState.MIXED
+    assert mixed.sum() > 20 and np.mean(likely.state[mixed] == CellState.FREE) > 0.4
 
 
 def test_walls_too_thin_for_their_cells_are_refined_first():
