@@ -3,8 +3,8 @@
 Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. The truth is a fast march of
 3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
 about as many nodes as the PLR has cells, and is interpolated between them. Seconds are of all cores, compiled before;
-of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too. ``empty``:
-gaps in boxes of one to four axes without costs or walls, over those of the counts of cells beside.
+of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too.
+``empty``: gaps in boxes of one to four axes without costs or walls, over those of the counts of cells beside.
 """
 
 from collections.abc import Callable
