@@ -51,7 +51,8 @@ def _cliff(q: Points) -> Float[np.ndarray, "n"]:
 
 
 def smooth() -> dict[str, LipschitzCost]:
-    constants = {"ramp": (_ramp, 10.07), "waves": (_waves, 3.6), "hill": (_hill, 26.8), "cliff": (_cliff, 250.0)}
+    # The largest slopes, rounded up.
+    constants = {"ramp": (_ramp, 10.07), "waves": (_waves, 3.6), "hill": (_hill, 26.8), "cliff": (_cliff, 143.2)}
     return {name: LipschitzCost(cost_fn, float(most), 0.99) for name, (cost_fn, most) in constants.items()}
 
 

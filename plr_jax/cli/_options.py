@@ -13,7 +13,8 @@ MapArgument = Annotated[
     typer.Argument(
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml), "
-        'GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI grid (.map), '
+        'of which costs do not count, GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a '
+        "Moving AI grid (.map), "
         "polygons with holes (.json), a scene (.json); build also takes volumes: an array (.npy), True where it is "
         "free, voxels of Moving AI (.3dmap), a mesh (.stl, .obj, .ply).",
         show_default=False,

@@ -177,11 +177,16 @@ def _free_points(space: "VoxelSpace", seed: int) -> Float[np.ndarray, "n dim"]:
 
 def _say_bounds(plr: "NumpyPLR", points: Float[np.ndarray, "n dim"]) -> None:
     """Print how far the proven bounds are from what is answered."""
-    answers, (lower, upper) = plr(points), plr.bounds(points)
-    is_bounded, total = np.isfinite(upper), f"{len(points):,} random free points"
+    answers = plr(points)
+    points, answers = points[np.isfinite(answers)], answers[np.isfinite(answers)]
+    lower, upper = plr.bounds(points)
+    is_bounded, total = np.isfinite(upper), f"{len(points):,} random free points that reach the goal"
     error = math.inf if plr.max_error is None else plr.max_error
     proven = f"no error above {error:.3g}" if math.isfinite(error) else "bounds of every leaf"
     typer.echo(f"leaf    continuous: {proven}, proven")
+    if not len(points):
+        typer.echo("bounds  not sampled: no random point of a free voxel was free and reached the goal")
+        return
     if not is_bounded.any():
         typer.echo(f"bounds  from below alone at all of {total}: allow more --max-bytes or --max-leaves")
         return

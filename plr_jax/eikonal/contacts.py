@@ -27,7 +27,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * mesh.inset)
         lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
-        lo, hi = (mesh.domain.lo + mesh.domain.width * end for end in (lo, hi))
+        lo, hi = (mesh.domain.at(end) for end in (lo, hi))
         is_open[edge, side] = space.classify(lo, hi) != CellState.BLOCKED
         touches = np.zeros(len(mesh.state), bool)
         touches[around[_are_parted(is_open)]] = True

@@ -60,10 +60,14 @@ class GridEstimate:
             ratio = self.ratio[tuple(node.T)]
             weight = np.where(corner, t, 1 - t).prod(axis=1) * np.isfinite(ratio)
             doubtful = np.flatnonzero(~is_open & (weight > 0))
-            weight[doubtful] *= self.space.are_free(self._at(x[doubtful]), self._at(self._of(node[doubtful])))
+            weight[doubtful] *= self.space.are_free(
+                self.space.domain.at(x[doubtful]), self.space.domain.at(self._of(node[doubtful]))
+            )
             total += weight * np.where(weight > 0, ratio, 0.0)
             weights += weight
-        straight = self.straight(self.space.domain.difference(self._at(self.goal[None]), self._at(x)))
+        straight = self.straight(
+            self.space.domain.difference(self.space.domain.at(self.goal[None]), self.space.domain.at(x))
+        )
         return np.where(weights > 0, total / np.maximum(weights, np.finfo(float).tiny) * straight, np.inf)
 
     def along(self, x: Fractions, strides: Sequence[int]) -> Iterator[Fractions]:
@@ -88,9 +92,6 @@ class GridEstimate:
     def _of(self, node: Int[np.ndarray, "n dim"]) -> Fractions:
         return np.ldexp(node.astype(float), -self.depth)
 
-    def _at(self, x: Fractions) -> Float[np.ndarray, "n dim"]:
-        return self.space.domain.lo + self.space.domain.width * x
-
 
 def swept_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], max_boxes: int
@@ -102,7 +103,7 @@ def swept_estimate(
     shape = tuple(((1 << depth) + ~periodic).tolist())
     box = _box_states(space, depth)
     x = np.ldexp(np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).astype(float), -depth)
-    q = domain.lo + domain.width * x
+    q = domain.at(x)
     is_free = _free_motions(space, box, q, depth)
     may_go = np.zeros(shape, bool)
     for offset, free in zip(half_offsets(domain.dim), is_free, strict=True):
@@ -119,7 +120,7 @@ def swept_estimate(
     if pulls_of_free is not None:
         pulls = np.zeros((2, domain.dim, *shape))
         pulls[:, :, may_go] = np.moveaxis(pulls_of_free, 2, 1)
-    factor_there, pulls_there = costs_of(domain.lo + domain.width * goal[None])
+    factor_there, pulls_there = costs_of(domain.at(goal[None]))
 
     def straight(change):
         pulls = None if pulls_there is None else np.broadcast_to(pulls_there, (2, *change.shape))
@@ -162,7 +163,7 @@ def _box_states(space: ConfigurationSpace, depth: Int[np.ndarray, "dim"]) -> Int
     state = np.full(tuple(1 << at), CellState.MIXED, np.int8)
     while True:
         mixed = np.argwhere(state == CellState.MIXED)
-        lo, hi = (space.domain.lo + space.domain.width * np.ldexp(mixed + float(end), -at) for end in (0, 1))
+        lo, hi = (space.domain.at(np.ldexp(mixed + float(end), -at)) for end in (0, 1))
         state[tuple(mixed.T)] = space.classify(lo, hi)
         if (at == depth).all():
             return state

@@ -200,7 +200,7 @@ class CostToGoField:
         ahead = paths.next[nearest]
         target = np.stack([ahead, paths.next[ahead], paths.next[farthest]])
         free = np.flatnonzero(np.isfinite(costs).any(axis=1) & (mesh.state == CellState.FREE))
-        place = mesh.domain.lo + mesh.domain.width * paths.points[target[:, free]]
+        place = mesh.domain.at(paths.points[target[:, free]])
         lo, hi = (np.broadcast_to(end[free], place.shape) for end in mesh.grown_boxes)
         hull = np.minimum(lo, place).reshape(-1, mesh.dim), np.maximum(hi, place).reshape(-1, mesh.dim)
         sees = (self.space.classify(*hull) == CellState.FREE).reshape(3, -1)

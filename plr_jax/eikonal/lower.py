@@ -7,9 +7,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
+from plr_jax.eikonal.cell_costs import cell_costs
 from plr_jax.eikonal.contacts import with_open_contacts
 from plr_jax.eikonal.elements import function_space
-from plr_jax.eikonal.mesh import Mesh, cell_costs, coarse_mesh
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap

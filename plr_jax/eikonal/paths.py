@@ -19,8 +19,9 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, runs
+from plr_jax.eikonal.cell_costs import CellCosts
 from plr_jax.eikonal.estimate import GridEstimate
-from plr_jax.eikonal.mesh import CellCosts, Mesh
+from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
@@ -204,7 +205,7 @@ class _FreeGraph:
         change = self._changes(node, np.full(len(node), self.goal))
         near = np.argsort(self.costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
         domain = self.mesh.domain
-        q, change = domain.lo + domain.width * self.points[near], change[near]
+        q, change = domain.at(self.points[near]), change[near]
         free = np.flatnonzero(space.are_free(q, q + change))
         q, change = q[free], change[free]
         cost, cost_map = self.costs.motion.norm(change), self.costs.cost_map

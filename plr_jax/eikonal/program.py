@@ -26,8 +26,8 @@ from pyamg import smoothed_aggregation_solver
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
 from scipy.sparse.linalg import cg, splu
 
+from plr_jax.eikonal.cell_costs import CellCosts
 from plr_jax.eikonal.elements import FunctionSpace, to_bernstein
-from plr_jax.eikonal.mesh import CellCosts
 
 # Values bent down, level by level, so that slopes that are a little too steep are no longer.
 #

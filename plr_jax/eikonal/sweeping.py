@@ -297,6 +297,10 @@ def _cheapest(
         )
         lines[axis] = _Line(rises, halves, has, share, costs_rise)
 
+    least_beside, most_beside = (
+        jax.tree.map(lambda of, extreme=extreme: extreme(of, axis=-1 - len(shape)), beside)
+        for extreme in (jnp.min, jnp.max)
+    )
     twist = _Twist.of(before.ratio, ratio, lines, center, row)
 
     def interpolated(steps):
@@ -304,7 +308,8 @@ def _cheapest(
         for axis, line in lines.items():
             value = value + line.change(steps[axis])
             cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, line.costs_rise)
-        return value, cost
+        # Where costs jump, a mean slope leads beyond those of all nodes around, and even below 0.
+        return value, jax.tree.map(jnp.clip, cost, least_beside, most_beside)
 
     def improved(_, state):
         steps, brackets = state

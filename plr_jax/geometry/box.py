@@ -86,6 +86,17 @@ class Box:
         """Edge length along each axis."""
         return self.hi - self.lo
 
+    def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
+        """Points at fractions of the widths: the one formula for faces of cells and voxels, so that equal ones agree.
+
+        Args:
+            fraction: Fractions, ``(..., dim)``, or ``(..., 1)`` for equal ones along all axes.
+
+        Returns:
+            The points, exact at 0 and 1.
+        """
+        return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
+
     @property
     def is_periodic(self) -> bool:
         """Whether any axis is periodic."""

@@ -1,7 +1,7 @@
 """Voxels of a box, in any dimension: where their faces are, which hold a point, how many of a range are blocked.
 
-Faces are the floats that ``numpy.linspace`` puts between the bounds: coordinates, floats as well, are compared with
-them without rounding, and what is said of touching is exact.
+Faces are the floats that ``Box.at`` gives, as it does for the cells of a partition: coordinates, floats as well, are
+compared with them without rounding, and what is said of touching is exact.
 
 Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``: number 0 is what lies below the bounds,
 and the last what lies above, all of it blocked. Arrays of numbers and coordinates have an axis of space first.
@@ -87,8 +87,9 @@ class VoxelGrid:
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
         """Where faces are along each axis, increasing; the first at minus infinity, the last at infinity."""
-        ends = zip(self.bounds.lo, self.bounds.hi, self.free.shape, strict=True)
-        return [np.concatenate([[-np.inf], np.linspace(lo, hi, num + 1), [np.inf]]) for lo, hi, num in ends]
+        fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
+        inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
+        return [np.concatenate([[-np.inf], each, [np.inf]]) for each in inner]
 
     @cached_property
     def padded(self) -> Bool[np.ndarray, "..."]:

@@ -1,11 +1,14 @@
 """Paths made cheaper within their surroundings: vertices left out, and shifted to where their two legs cost least."""
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts, unit_motions
 
+_KNOWN = 1e-3  # share of the cost of legs, up to which an estimate of it that is off tells which place is best
 _GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
 _WIDEST, _NUM_SHIFTS = 1 / 32, 8  # of vertices, as a share of the domain; each half of the one before
 
@@ -81,26 +84,41 @@ def _neighbors(onward: Next, first: Int[np.ndarray, "paths"]) -> tuple[Next, Nex
 def _best_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Of configurations and others beside them those by which the motion from one to another costs least."""
+    """Configurations, or others beside them, of which estimates are cheapest, where motions through these are."""
     domain, k = costs.space.domain, len(changes)
+    cost = _through(costs, before, x, after)
+    is_known = np.abs(_about(costs, before, x, after) - cost) <= _KNOWN * cost
 
-    def prices(rows: slice) -> Float[np.ndarray, "rows k"]:
-        y = domain.wrapped(x[rows, None] + changes).reshape(-1, x.shape[1])
-        inside = domain.contains(y)
-        a, b = (np.repeat(ends[rows], k, axis=0)[inside] for ends in (before, after))
-        now = _through(costs, before[rows], x[rows], after[rows])
-        price = np.full(len(y), np.nan)
-        price[inside] = _through(costs, a, y[inside], b)
-        price = price.reshape(-1, k)
-        return np.where(price <= (1 - _GAIN) * now[:, None], price, np.nan)
+    def cheapest(rows: Int[np.ndarray, "rows"], costs_through: Callable[..., Float[np.ndarray, "n"]]) -> Points:
+        def prices(some: slice) -> Float[np.ndarray, "some k"]:
+            y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
+            inside = domain.contains(y)
+            a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))
+            price = np.full(len(y), np.nan)
+            price[inside] = costs_through(costs, a, y[inside], b)
+            now = costs_through(costs, *(each[rows[some]] for each in (before, x, after)))
+            price = price.reshape(-1, k)
+            return np.where(price <= (1 - _GAIN) * now[:, None], price, np.nan)
 
-    def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
-        y = domain.wrapped(x[row] + changes[way])
-        return costs.space.are_free(before[row], y) & costs.space.are_free(y, after[row])
+        def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+            y = domain.wrapped(x[rows[row]] + changes[way])
+            return costs.space.are_free(before[rows[row]], y) & costs.space.are_free(y, after[rows[row]])
 
-    way = first_visible_in_parts(prices, len(x), k, sees)[0][:, 0]
-    return np.where(way[:, None] < 0, x, domain.wrapped(x + changes[way]))
+        way = first_visible_in_parts(prices, len(rows), k, sees)[0][:, 0]
+        return np.where(way[:, None] < 0, x[rows], domain.wrapped(x[rows] + changes[way]))
+
+    best = x.copy()
+    for known, costs_through in ((True, _about), (False, _through)):
+        rows = np.flatnonzero(is_known == known)
+        best[rows] = cheapest(rows, costs_through)
+    is_cheaper = _through(costs, before, best, after) <= (1 - _GAIN) * cost
+    return np.where(is_cheaper[:, None], best, x)
 
 
 def _through(costs: PathCosts, a: Points, x: Points, b: Points) -> Float[np.ndarray, "nodes"]:
     return costs.integrals(a, x, STEP_TOLERANCE) + costs.integrals(x, b, STEP_TOLERANCE)
+
+
+def _about(costs: PathCosts, a: Points, x: Points, b: Points) -> Float[np.ndarray, "nodes"]:
+    to_x, to_b = (costs.space.domain.difference(y, z)[:, None] for y, z in ((x, a), (b, x)))
+    return (costs.estimates(a, to_x) + costs.estimates(x, to_b))[:, 0]

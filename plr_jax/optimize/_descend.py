@@ -83,5 +83,7 @@ def descend(
     if not isinstance(space, ConfigurationSpace):
         space = MotionTests(space, as_finite("resolution", resolution, positive=True))
     if cost_map is not None and not isinstance(cost_map, CostMap):
-        raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
+        raise ValueError(
+            f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
+        )
     return by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)

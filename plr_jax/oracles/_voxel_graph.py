@@ -25,7 +25,8 @@ class VoxelGraph:
     edge or corner. In voxels with sides of 1 steps have the lengths 1, and the square roots of 2 and 3.
 
     A path over 26 neighbors is one that a point can follow: its length is never below that of a shortest path of any
-    angle between the two centers, and up to an eighth above that in the open.
+    angle between the two centers, and in the open, of
+    cubes, at most 12.9 % above that.
 
     Args:
         free: Which voxels are free, booleans ``(nx, ny, nz)``, at ``[i, j, k]`` those of a :class:`VoxelSpace`.

@@ -120,12 +120,15 @@ class PLR(HeldFile):
             return self.band
         raise ValueError(
             "Nothing is proven of this PLR: construct it with certified=True, use certify(plr, oracle), or give "
-            "solve_eikonal a space that classifies boxes."
+            "solve_eikonal a space that classifies boxes, without certified=False."
         )
 
     @property
     def max_error(self) -> float | None:
-        """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
+        """Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
+
+        ``inf`` where some leaf is bounded from below alone, as mostly by :func:`solve_eikonal`: see :meth:`bounds`.
+        """
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
 

@@ -206,7 +206,8 @@ def read_map_server(
         squeeze: As for the class.
 
     Returns:
-        The workspace, in meters; its bounds are the bounding box of what is free.
+        The workspace, in meters; its bounds are the bounding box of what is free. It knows no costs: what lies
+        between the thresholds is unknown, in the mode ``scale`` as well, where :func:`read_cost_map` has costs.
 
     Raises:
         ValueError: If the file is no such map, its picture is damaged or too large, or nothing in it is free.
@@ -236,8 +237,9 @@ def read_cost_map(
 
     Pixels become the values of an occupancy grid as ``map_server`` makes them: in the mode ``trinary`` 0 where
     :func:`read_map_server` finds them free, 100 where occupied, and -1 where unknown; in the mode ``scale`` what is
-    neither is from 0 to 100 as its occupancy is between the thresholds, rounded; in the mode ``raw``, which knows no
-    thresholds, they are the percents themselves. Occupied cells are blocked; of a map without other costs
+    neither is from 0 to 100 as its occupancy is between the thresholds, rounded, and only what is not opaque is
+    unknown (gray 205, which means that elsewhere, is free); in the mode ``raw``, which knows no thresholds, they are
+    the percents themselves. Occupied cells are blocked; of a map without other costs
     ``read_cost_map(path).inflated(inscribed_radius)`` is what a robot's cost map is.
 
     Args:

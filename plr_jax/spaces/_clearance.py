@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int8
 from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, shortened, told
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
 
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
 _MOST_BISECTIONS = 10
@@ -236,9 +236,7 @@ class ClearanceSpace:
 
     @cached_property
     def _unit(self) -> float:
-        """The relative precision of clearances, which may come in 32 bits, as from JAX, or in 16."""
-        size = np.asarray(self.clearance(self.domain.lo[None])).dtype.itemsize
-        return {2: 2.0**-7, 4: 2.0**-23}.get(size, 2.0**-52)
+        return precision_of(self.clearance(self.domain.lo[None]))
 
     def _require_consistent(self, q0: Configurations, a: Numbers, q1: Configurations, b: Numbers) -> None:
         """Raise ``ValueError`` if clearances ``a`` and ``b`` of pairs of configurations contradict the constants."""

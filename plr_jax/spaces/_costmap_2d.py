@@ -1,5 +1,6 @@
 """What the cells of robots' cost maps cost: the bytes of ROS's ``costmap_2d``, its occupancy grids, its inflation."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ def grid_costs(values: ArrayLike) -> Raster:
 def inflated_factors(
     factors: Raster,
     pixel: Float[np.ndarray, "rank"],
+    periodic: Sequence[bool],
     inscribed_radius: float | int,
     inflation_radius: float | int,
     cost_scaling_factor: float | int,
@@ -47,7 +49,7 @@ def inflated_factors(
 ) -> Raster:
     """Factors, ``inf`` where blocked, with those around what is blocked as the inflation layer of Nav2 has them.
 
-    ``pixel`` has the sides of a cell along the raster's axes.
+    ``pixel`` has the sides of a cell along the raster's axes, ``periodic`` which of these are.
     """
     inscribed = as_finite("inscribed_radius", inscribed_radius)
     reach, scaling = (
@@ -58,20 +60,28 @@ def inflated_factors(
     free = np.isfinite(factors)
     if free.all():
         return factors
-    distance: Any = ndimage.distance_transform_edt(free, sampling=pixel)
+    around, middle = _periods(free, periodic)
+    distance: Any = ndimage.distance_transform_edt(around, sampling=pixel)
+    distance = distance[middle]
     share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
     return np.where(distance <= inscribed, np.inf, np.maximum(factors, 1 + multiplier * share))
 
 
-def with_nearest_factors(factors: Raster, pixel: Float[np.ndarray, "rank"]) -> Raster:
+def with_nearest_factors(factors: Raster, pixel: Float[np.ndarray, "rank"], periodic: Sequence[bool]) -> Raster:
     """Factors with those of the nearest cell that is not blocked where they are ``inf``."""
     blocked = np.isinf(factors)
     if not blocked.any():
         return factors
-    nearest: Any = ndimage.distance_transform_edt(
-        blocked, sampling=pixel, return_distances=False, return_indices=True
-    )
-    return factors[tuple(nearest)]
+    around, middle = _periods(blocked, periodic)
+    nearest: Any = ndimage.distance_transform_edt(around, sampling=pixel, return_distances=False, return_indices=True)
+    return factors[tuple(at[middle] % size for at, size in zip(nearest, factors.shape, strict=True))]
+
+
+def _periods(cells: np.ndarray, periodic: Sequence[bool]) -> tuple[np.ndarray, tuple[slice, ...]]:
+    """Three periods of cells along periodic axes, and where the middle one is."""
+    sizes = [size if wraps else 0 for size, wraps in zip(cells.shape, periodic, strict=True)]
+    middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
+    return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:

@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.spaces._space import MotionCost
+from plr_jax.spaces._space import MotionCost, precision_of
 
-# Costs of motions that depend on the way they go: climbing, and currents.
-
+_ROUNDING = 16.0  # units in the last place, of what functions of configurations answer
 
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
@@ -53,9 +52,8 @@ class Climbing:
         Raises:
             ValueError: If the function returns another shape, or a gradient above ``steepest``.
         """
-        return 1 + self.rate * np.linalg.norm(
-            _vectors("gradient_fn", self.gradient_fn, self.steepest, np.asarray(q, np.float64)), axis=1
-        )
+        gradient, _ = _vectors("gradient_fn", self.gradient_fn, self.steepest, np.asarray(q, np.float64))
+        return 1 + self.rate * np.linalg.norm(gradient, axis=1)
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
@@ -80,8 +78,9 @@ class Climbing:
         Returns:
             Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
         """
-        uphill = self.rate * _vectors("gradient_fn", self.gradient_fn, self.steepest, (lo + hi) / 2)
-        spread = self.rate * self.lipschitz * _radii(lo, hi)
+        gradient, rounding = _vectors("gradient_fn", self.gradient_fn, self.steepest, (lo + hi) / 2)
+        uphill = self.rate * gradient
+        spread = self.rate * (self.lipschitz * _radii(lo, hi, rounding) + rounding * self.steepest)
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
 
@@ -128,12 +127,8 @@ class Current:
         Raises:
             ValueError: If the function returns another shape, or a velocity above ``fastest``.
         """
-        return 1 / (
-            self.speed
-            - np.linalg.norm(
-                _vectors("velocity_fn", self.velocity_fn, self.fastest, np.asarray(q, np.float64)), axis=1
-            )
-        )
+        velocity, _ = _vectors("velocity_fn", self.velocity_fn, self.fastest, np.asarray(q, np.float64))
+        return 1 / (self.speed - np.linalg.norm(velocity, axis=1))
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
@@ -171,18 +166,26 @@ class Current:
 
     def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
         """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
-        velocity = _vectors("velocity_fn", self.velocity_fn, self.fastest, (lo + hi) / 2)
-        return np.linalg.norm(velocity, axis=1), self.lipschitz * _radii(lo, hi), velocity
+        velocity, rounding = _vectors("velocity_fn", self.velocity_fn, self.fastest, (lo + hi) / 2)
+        spread = self.lipschitz * _radii(lo, hi, rounding) + rounding * self.fastest
+        return np.linalg.norm(velocity, axis=1), spread, velocity
 
 
-def _vectors(name: str, vector_fn: Callable[[np.ndarray], ArrayLike], longest: float, q: Vectors) -> Vectors:
-    """What a function of configurations returns: a vector each, none longer than was said."""
-    vectors = as_numbers(f"{name}'s answer", vector_fn(q), f"real numbers of shape {q.shape}")
+def _vectors(
+    name: str, vector_fn: Callable[[np.ndarray], ArrayLike], longest: float, q: Vectors
+) -> tuple[Vectors, float]:
+    """What a function of configurations returns, a vector each, none longer than was said, and their precision.
+
+    One that is longer by no more than that is made as long as was said.
+    """
+    answer = vector_fn(q)
+    vectors = as_numbers(f"{name}'s answer", answer, f"real numbers of shape {q.shape}")
     if vectors.shape != q.shape:
         raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
     expected = f"{name} must return vectors of at most {longest:g}"
-    _require(np.linalg.norm(vectors, axis=1) <= (1 + 1e-12) * longest, expected, [vectors], [q])
-    return vectors
+    rounding, length = _ROUNDING * precision_of(answer), np.linalg.norm(vectors, axis=1)
+    _require(length <= (1 + rounding) * longest, expected, [vectors], [q])
+    return vectors * np.minimum(1, longest / np.maximum(length, longest or 1.0))[:, None], rounding
 
 
 def _check_numbers(cost: Any, fn: str, *numbers: str, positive: str = "") -> None:
@@ -205,9 +208,9 @@ def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], 
         raise ValueError(f"{expected}, got {what} {where}.")
 
 
-def _radii(lo: Vectors, hi: Vectors) -> Rates:
-    """How far points of boxes are from their centers at most."""
-    return np.linalg.norm((hi - lo) / 2, axis=1)
+def _radii(lo: Vectors, hi: Vectors, rounding: float) -> Rates:
+    """How far points of boxes are from their centers at most, if these are rounded to some precision."""
+    return np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
 
 
 _LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
@@ -257,7 +260,8 @@ class DirectionalCost(CostMap, Protocol):
 class LipschitzCost:
     """A cost map of a function that changes by at most so much a unit of distance.
 
-    What is proven with it holds if that is true. The reciprocal of a speed of at least ``v`` that changes by at most
+    What is proven with it holds if that is true; answers may be rounded, to the 32 bits of JAX for one, and are
+    taken for off by 16 units in the last place. The reciprocal of a speed of at least ``v`` that changes by at most
     ``c`` a unit changes by at most ``c / v**2``.
 
     Args:
@@ -288,11 +292,15 @@ class LipschitzCost:
         Raises:
             ValueError: If the function returns another shape, or a number that is not finite or below ``least``.
         """
-        q = np.asarray(q, np.float64)
-        factor = as_values("cost_fn", self.cost_fn(q), len(q))
+        return self._factors(np.asarray(q, np.float64))[0]
+
+    def _factors(self, q: Vectors) -> tuple[Rates, float]:
+        """The factors, and their precision."""
+        answer = self.cost_fn(q)
+        factor, rounding = as_values("cost_fn", answer, len(q)), _ROUNDING * precision_of(answer)
         expected = f"cost_fn must return finite numbers of at least {self.least:g}"
-        _require((factor >= self.least) & (factor < np.inf), expected, [factor], [q])
-        return factor
+        _require((factor >= (1 - rounding) * self.least) & (factor < np.inf), expected, [factor], [q])
+        return np.maximum(factor, self.least), rounding
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the factor over boxes.
@@ -304,8 +312,9 @@ class LipschitzCost:
         Returns:
             What the factor at the center, and the constant, allow.
         """
-        middle, reach = self((lo + hi) / 2), self.lipschitz * _radii(lo, hi)
-        return np.maximum(middle - reach, self.least), middle + reach
+        middle, rounding = self._factors((lo + hi) / 2)
+        reach = self.lipschitz * _radii(lo, hi, rounding)
+        return np.maximum((1 - rounding) * middle - reach, self.least), (1 + rounding) * middle + reach
 
 
 def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:

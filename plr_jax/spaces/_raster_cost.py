@@ -179,9 +179,7 @@ class RasterCost:
             https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         radii = inscribed_radius, inflation_radius
-        factors = inflated_factors(
-            self.values, self._pixel[::-1], *radii, cost_scaling_factor, cost_travel_multiplier
-        )
+        factors = inflated_factors(self.values, *self._cells, *radii, cost_scaling_factor, cost_travel_multiplier)
         return RasterCost(factors, self.domain, self.interpolation)
 
     def __repr__(self) -> str:
@@ -242,9 +240,9 @@ class RasterCost:
             hi: Upper corners, finite and nowhere below.
 
         Returns:
-            The extremes, up to rounding, of ``"nearest"``, where all cells count that the box touches, and of
-            ``"bilinear"`` over boxes between at most four centers along each axis; over larger ones those of the
-            cells whose centers surround the box.
+            The extremes, but for rounding outward (to 32 bits where more than a cell counts), of ``"nearest"``, where
+            all cells count that the box touches, and of ``"bilinear"`` over boxes between at most four centers along
+            each axis; over larger ones those of the cells whose centers surround the box.
 
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
@@ -330,13 +328,14 @@ class RasterCost:
         return np.array(self.values.shape[::-1], np.float64)
 
     @property
-    def _pixel(self) -> Float[np.ndarray, "dim"]:
-        return self.domain.width / self._sizes
+    def _cells(self) -> tuple[Float[np.ndarray, "dim"], tuple[bool, ...]]:
+        """Sides of a cell along the raster's axes, and which of these are periodic."""
+        return (self.domain.width / self._sizes)[::-1], self.domain.periodic[::-1]
 
     @cached_property
     def _nodes(self) -> Float[np.ndarray, "..."]:
         """Factors in the order of coordinates, those of blocked cells filled."""
-        return np.ascontiguousarray(with_nearest_factors(self.values, self._pixel[::-1]).T)
+        return np.ascontiguousarray(with_nearest_factors(self.values, *self._cells).T)
 
     @cached_property
     def _table(self) -> SparseTable:

@@ -184,6 +184,19 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
     return lo + (hi - lo) / 2, (hi - lo) / 2
 
 
+def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, "n"]:
+    """What a space said of boxes, a :class:`CellState` each; ``ValueError`` if that is something else."""
+    answer = np.asarray(states)
+    if answer.shape != (n,) or not np.isin(answer, list(CellState)).all():
+        raise ValueError(f"classify must return one CellState a box, shape ({n},), got {shortened(states)}.")
+    return answer.astype(np.int8)
+
+
+def precision_of(numbers: ArrayLike) -> float:
+    """The relative precision of what a function returns, which may come in 32 bits, as from JAX, or in 16."""
+    return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
+
+
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
     """What a space that only tests configurations says, checked: the base of those that ask it about more."""

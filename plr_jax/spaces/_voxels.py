@@ -44,7 +44,7 @@ class VoxelSpace:
     Raises:
         ValueError: If ``free`` is no array of booleans of one to four axes, none is free, the bounds are no box of as
             many axes or have periodic ones, voxels are so small that coordinates cannot tell them apart, or the
-            radius is negative, not finite, or above 0 but below a thousand tolerances.
+            radius is negative, not finite, above 0 but below a thousand tolerances, or more than half of a width.
     """
 
     grid: VoxelGrid
@@ -56,6 +56,11 @@ class VoxelSpace:
             raise ValueError(
                 f"radius must be 0, for a point, or at least {_LEAST_RADIUS * self.tolerance:.2g} in {self.domain}, "
                 f"got {self.radius:g}."
+            )
+        if self.radius > self.domain.width.min() / 2:
+            raise ValueError(
+                f"radius must be at most {self.domain.width.min() / 2:g}, or the ball fits nowhere into "
+                f"{self.domain}, got {self.radius:g}."
             )
 
     def __repr__(self) -> str:

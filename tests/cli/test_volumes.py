@@ -33,7 +33,7 @@ def test_a_file_of_a_volume_keeps_its_budget_and_answers_x_y_z_within_proven_bou
     np.testing.assert_array_equal([plr.domain.lo, plr.domain.hi], [(0, 0, 0), (2, 1.5, 1)])
     assert f"wrote   hall.plr: {plr.num_bytes} bytes; {plr.num_leaves} leaves, depth {plr.depth}\n" in said
     assert f"leaf    continuous: no error above {plr.max_error:.3g}, proven\nbounds  " in said
-    assert "in the mean of 20,000 random free points\n" in said
+    assert "in the mean of 20,000 random free points that reach the goal\n" in said
     x = np.random.default_rng(0).uniform(plr.domain.lo, plr.domain.hi, (50, 3))
     rows = "".join(f"{a!r},{b!r},{c!r}\n" for a, b, c in x.tolist())
     answer, lower, upper = table(done("query", "hall.plr", "--bounds", input=rows)).T
@@ -90,7 +90,7 @@ def test_mistakes_with_volumes_are_explained(command, message):
 
 
 def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough():
-    command = ["build", "floor.npy", "--goal", "1,1", "-o", "few.plr", "--max-leaves", 4, "--max-bytes"]
+    command = ["build", "cave.3dmap", "--goal", "6,1.5,3", "-o", "few.plr", "--max-leaves", 100, "--max-bytes"]
     least = int(mistake(*command, 3).split("allow at least ")[1].removesuffix(".\n"))
     assert f"allow at least {least}." in mistake(*command, least - 1)
     done(*command, least)

@@ -5,7 +5,7 @@ import pytest
 from eikonal_helpers import ROOM, BoxSpace
 from space_helpers import rectangle
 
-from plr_jax import Climbing, LipschitzCost, PlaneSpace, VisibilityGraph, Workspace
+from plr_jax import Climbing, LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, Workspace
 from plr_jax.eikonal.estimate import swept_estimate
 from plr_jax.geometry.box import Box
 
@@ -90,3 +90,18 @@ def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
     x = x[space.is_free(x)]
     truth = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
     assert np.abs(estimate(x) - truth).mean() < 0.03 * truth.mean()
+
+
+@pytest.mark.parametrize("jump", [3.0, 20.0])
+def test_where_costs_jump_nothing_is_below_what_is_possible(jump):
+    """Across a border of two halves by Snell's law; no way is shorter than the straight one at the lower cost."""
+    cost = RasterCost([[1.0, jump]], ((0, 0), (2, 1)), "nearest")
+    q = samples(cost.domain)
+    found = estimate_of(cost.space(), (0.25, 0.5), 3_000, cost)(q)
+    border = np.linspace(0, 1, 4_001)
+    beyond = np.maximum(q[:, :1] - 1, 0)
+    crossing = np.hypot(0.75, border - 0.5) + jump * np.hypot(beyond, border - q[:, 1:])
+    straight = np.linalg.norm(q - (0.25, 0.5), axis=1)
+    truth = np.where(q[:, 0] > 1, crossing.min(axis=1), straight)
+    assert (found > 0.999 * straight).all()
+    assert np.abs(found - truth).mean() < jump / 2 / 32  # the border is a node's, who costs the mean of both

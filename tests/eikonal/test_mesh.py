@@ -7,7 +7,9 @@ from eikonal_helpers import EMPTY, BoxSpace, mesh_of, random_mesh
 from space_helpers import random_boxes
 
 from plr_jax import Current
-from plr_jax.eikonal.mesh import Mesh, SampledSpace, cell_costs, coarse_mesh
+from plr_jax.eikonal.cell_costs import cell_costs
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax.eikonal.sampled_space import SampledSpace
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace

@@ -7,7 +7,8 @@ from eikonal_helpers import EMPTY, BoxSpace
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import PlaneSpace, PointRobot, Problem, VisibilityGraph, Workspace, validate
-from plr_jax.eikonal.mesh import cell_costs, coarse_mesh
+from plr_jax.eikonal.cell_costs import cell_costs
+from plr_jax.eikonal.mesh import coarse_mesh
 from plr_jax.eikonal.paths import NodePaths, shortest_paths
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import LipschitzCost

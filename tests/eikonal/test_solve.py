@@ -2,7 +2,18 @@ import numpy as np
 import pytest
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_bounds
 
-from plr_jax import Box, LipschitzCost, PlaneSpace, VisibilityGraph, Workspace, from_bytes, load, save, solve_eikonal
+from plr_jax import (
+    Box,
+    LipschitzCost,
+    PlaneSpace,
+    RasterCost,
+    VisibilityGraph,
+    Workspace,
+    from_bytes,
+    load,
+    save,
+    solve_eikonal,
+)
 from plr_jax.eikonal.field import MeshEstimate
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 
@@ -136,6 +147,34 @@ def test_interrupts_keep_what_there_is():
         solve_eikonal(Interrupted(PlaneSpace(ROOM), 1), GOAL, max_leaves=600)
 
 
+def test_where_a_leaf_a_cell_fits_into_the_bytes_nothing_is_fitted_anew():
+    limits = {"max_leaves": 300, "certified": False}
+    whole = solve_eikonal(PlaneSpace(ROOM), GOAL, **limits)
+    assert solve_eikonal(PlaneSpace(ROOM), GOAL, max_bytes=whole.num_bytes, **limits).to_bytes() == whole.to_bytes()
+    fitted = solve_eikonal(PlaneSpace(ROOM), GOAL, max_bytes=whole.num_bytes - 1, **limits)
+    assert fitted.num_bytes < whole.num_bytes and fitted.num_leaves != whole.num_leaves
+
+
+def test_costs_that_32_bits_do_not_hold_and_meshes_that_memory_does_not_are_refused():
+    tiny = RasterCost([[1e-30]], ((0, 0), (1e-3, 1e-3)))
+    with pytest.raises(ValueError, match=r"Costs must come to 1e-30 somewhere"):
+        solve_eikonal(tiny.space(), (3e-4, 3e-4), cost_map=tiny, max_leaves=20)
+    with pytest.raises(ValueError, match="would need about"):
+        solve_eikonal(EMPTY, (0.1, 0.1), max_leaves=10**20, tolerance=1)
+
+
+@pytest.mark.parametrize("answer", [None, [1], np.full(64, 7)])
+def test_what_a_space_says_of_boxes_is_checked(answer):
+    class Wrong(FreeOnly):
+        are_free = PlaneSpace(ROOM).are_free
+
+        def classify(self, lo, hi):
+            return answer
+
+    with pytest.raises(ValueError, match="classify must return one CellState a box"):
+        solve_eikonal(Wrong(PlaneSpace(ROOM)), GOAL, max_leaves=64)
+
+
 def test_nothing_is_proven_of_leaves_that_answer_inf_for_open_cells(monkeypatch):
     def estimates(estimate, x):
         return np.where(x.max(axis=1) > 0.3, np.inf, np.sin(40 * x).sum(axis=1))
@@ -165,7 +204,7 @@ def of_bounds(answer):
         ({"max_leaves": 100, "max_bytes": 20}, r"max_bytes=20 is too small: one leaf takes \d+ bytes"),
         ({"tolerance": -1.0}, "tolerance must be"),
         ({"seed": -1}, "seed must be"),
-        ({"cost_map": 2.0}, "cost_map must be a CostMap, such as LipschitzCost, got 2.0"),
+        ({"cost_map": 2.0}, "cost_map must be a CostMap, such as LipschitzCost or RasterCost, got 2.0"),
         *(
             ({"space": space}, "space must be a configuration space, such as PlaneSpace")
             for space in (ROOM, None, PlaneSpace, lambda q: True)

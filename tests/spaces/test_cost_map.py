@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax.spaces import CostMap, LipschitzCost
+from plr_jax.spaces import Climbing, CostMap, LipschitzCost
 
 
 def bumpy(q):
@@ -24,6 +24,19 @@ def test_bounds_hold_all_samples_and_are_near_them_in_small_boxes():
     assert (lower >= 0.5).all()
     diagonal = np.linalg.norm(hi - lo, axis=1)
     assert (upper - lower <= np.hypot(3, 1) * diagonal + 1e-12).all()
+
+
+def test_what_functions_round_in_32_bits_is_allowed_for():
+    x = np.random.default_rng(0).random((2_000, 2))
+    ends = x - 1e-9, x + 1e-9
+    single = LipschitzCost(lambda q: bumpy(q).astype(np.float32), np.hypot(3, 1), 0.5)
+    lower, upper = single.bounds(*ends)
+    assert ((lower <= bumpy(x)) & (bumpy(x) <= upper)).all() and (upper - lower).max() < 1e-4
+    np.testing.assert_array_equal(LipschitzCost(lambda q: np.full(len(q), np.float32(0.7)), 0.0, 0.7)(x), 0.7)
+    climbing = Climbing(lambda q: np.tile(np.float32([0.3, 0]), (len(q), 1)), 1.0, 0.0, 0.3)
+    _, uphill, least, most = climbing.pulls(*ends)
+    slope = uphill @ (1, 0)
+    assert (slope + least <= 1.3).all() and (slope + most >= 1.3).all()
 
 
 @pytest.mark.parametrize(

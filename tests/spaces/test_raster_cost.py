@@ -124,6 +124,20 @@ def test_around_a_periodic_axis_the_last_cells_are_neighbors_of_the_first():
     np.testing.assert_allclose([lower, upper], [(1, 1, 2, 1), (5, 5, 3, 5)], rtol=1e-6)
 
 
+def test_around_a_periodic_axis_what_is_blocked_raises_costs_and_lends_factors():
+    values = np.random.default_rng(0).uniform(1, 2, (3, 8))
+    values[:, 1] = values[2, 6] = np.inf
+    bounds, x = Box((0, 0), (8, 3), (True, False)), np.random.default_rng(1).uniform(0, (8, 3), (200, 2))
+
+    def at(turn):
+        cost = RasterCost(np.roll(values, turn, axis=1), bounds)
+        return cost(x + np.array((turn, 0))), np.roll(cost.inflated(0.2, inflation_radius=3).values, -turn, axis=1)
+
+    for turn in range(1, 8):
+        for here, there in zip(at(0), at(turn), strict=True):
+            np.testing.assert_allclose(here, there, rtol=1e-12)
+
+
 def test_of_more_coordinates_the_leading_ones_count_and_what_is_not_finite_has_no_factor():
     cost = random_raster((6, 9))
     x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (50, 2))

@@ -16,6 +16,7 @@ from plr_jax import (
     Workspace,
     solve_eikonal,
 )
+from plr_jax.plr.partition.cells import Cells
 
 BLOCKED, FREE, MIXED = CellState
 CHECKERS = np.array([[True, False], [False, True]])
@@ -173,6 +174,21 @@ def test_voxels_of_unequal_sides_fill_their_bounds():
         space.free[0, 0, 0] = False
 
 
+def test_faces_are_where_cells_have_them_whatever_the_sides():
+    """Walls flush with the cells of a partition stay flush where sides are no binary fractions."""
+    free = np.kron(np.random.default_rng(0).random((16, 4)) < 0.5, np.ones((3, 3))) > 0
+    free[0, 0] = True
+    cells = Cells.root(2)
+    for axis in (0, 0, 0, 0, 1, 1):
+        cells = cells.split(np.full(len(cells), axis))
+    units = VoxelSpace(free)
+    of_units = units.classify(*cells.boxes(units.domain))
+    assert set(of_units.tolist()) >= {CellState.FREE, CellState.BLOCKED}
+    for lo, side in ((0, 0.05), (-0.4, 0.3), (1e3, 0.7)):
+        space = VoxelSpace(free, ((lo, lo), (lo + 48 * side, lo + 12 * side)))
+        np.testing.assert_array_equal(space.classify(*cells.boxes(space.domain)), of_units)
+
+
 def test_the_order_in_memory_makes_no_difference():
     rng = np.random.default_rng(5)
     free = rng.random((7, 4, 5)) < 0.7
@@ -246,6 +262,7 @@ def test_bounds_of_a_volume_hold_the_lengths_of_paths():
         (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "without periodic axes"),
         (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
         (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
+        (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
         (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0, for a point, or at least"),
         (lambda: VoxelSpace(CHECKERS).is_free([[0.5]]), r"q must have shape \(n, 2\)"),
         (lambda: VoxelSpace(CHECKERS).classify([[1, 1]], [[0, 0]]), "hi nowhere below lo"),

@@ -117,9 +117,9 @@ def check_limits(
     )
 
 
-def check_memory(num_nodes: float) -> None:
+def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
     """Raise ``ValueError`` if a tree of so many nodes does not fit into this machine's memory."""
-    needed = num_nodes * _BYTES_A_NODE
+    needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
         raise ValueError(

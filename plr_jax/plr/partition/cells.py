@@ -55,10 +55,7 @@ class Cells:
     def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
         """Lower and upper corners of the cells in the units of the domain."""
         size = np.ldexp(1.0, -self.depth)
-        return (
-            domain.lo + domain.width * (self.position * size),
-            domain.lo + domain.width * ((self.position + 1) * size),
-        )
+        return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
         """Corners of boxes that hold all points for which a query may ask a cell, which places points in 32 bits."""
