@@ -30,8 +30,9 @@ plr_jax.save(field, "field.plr")
 field = plr_jax.load("field.plr")
 ```
 
-- A `PLR` of one goal: `construct`, with many goals `construct_many`; proofs: `certify`; other losses: `refine`, which
-  tells a `Refinement`. Smaller: `coarsen`; files that begin with coarser ones: `progressive`.
+- A `PLR` of one goal: `construct`, with many goals `construct_many`; of a map that has changed: `update`; proofs:
+  `certify`; other losses: `refine`, which tells a `Refinement`. Smaller: `coarsen`; files that begin with coarser
+  ones: `progressive`.
 - Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`,
   `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in `pairs`.
 - Files: `save` and `load`, `from_bytes`; from a web server `open_url`; without JAX `load_numpy`, a `NumpyPLR`.

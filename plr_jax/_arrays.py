@@ -191,6 +191,15 @@ def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
     return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
+def found(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
+    """Place of each wanted number among distinct known ones; -1 where it is none."""
+    if not len(known):
+        return np.full(len(wanted), -1)
+    order = np.argsort(known)
+    place = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
+    return np.where(known[place] == wanted, place, -1)
+
+
 def run_members(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:

@@ -160,6 +160,10 @@ class CellSources(Protocol):
         """The order of sources in which the first of equals is taken."""
         ...
 
+    def put_together(self, cell: Int[np.ndarray, "cells"], num_cells: int, /) -> "CellSources":
+        """The same pieces, as those of fewer cells: of each cell the one that it is in, in their order."""
+        ...
+
     def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
         """Those of some of the cells, in any order, which may be repeated."""
         ...
@@ -235,6 +239,22 @@ class CellwiseFn(Protocol):
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@runtime_checkable
+class ChangingFn(CellwiseFn, Protocol):
+    """A distance function in the plane that says how it differs from the one before its map changed."""
+
+    @property
+    def sources(self) -> Sources: ...
+
+    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
+        """Those of boxes as cells, whatever they are parts of."""
+        ...
+
+    def changed_since(self, before: Any, /) -> Any:
+        """How distances have changed: a ``ChangedDistances``; ``ValueError`` if they cannot be compared."""
+        ...
 
 
 @runtime_checkable

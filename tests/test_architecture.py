@@ -37,7 +37,7 @@ PLR_LAYERS = [
     ["_certify"],
     ["_best", "_checkpoint", "_trace", "refinement"],
     ["_construct"],
-    ["_construct_many", "_coarsen"],
+    ["_construct_many", "_coarsen", "_update"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

@@ -108,13 +108,13 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: ROOM.with_obstacles, r"Workspace\(workspace.bounds, \[\*workspace.obstacles, ring\]\)"),
-        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).with_workspace, "Of a map that changed make another one"),
+        (lambda: ROOM.add, r"workspace.with_obstacles\(\[ring\]\)"),
+        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).update, "Of a map that changed make another one"),
         (
             lambda: Roadmap.from_workspace(ROOM, (0.5, 0.5), 5).with_workspace,
             "Of a map that changed make another one",
         ),
-        (lambda: built().updated, "of another map or goal construct another one"),
+        (lambda: built().updated, r"of a map that did, update\(plr, oracle, before\) is one"),
     ],
 )
 def test_what_a_changed_map_needs_is_said(call, message):

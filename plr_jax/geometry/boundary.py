@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import found
 from plr_jax._deadline import require_time
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle, turn_between
 
@@ -140,53 +141,121 @@ def are_crossed(
     return np.isin(np.arange(len(a)), segment[through])
 
 
-def boundary_of(region: Any, tolerance: float) -> Boundary:
-    """The boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one, to the tolerance."""
-    vertices, edges = _vertices_and_edges(region)
-    edges = _split(vertices, edges, *_near(vertices, edges, tolerance))
-    # A sector closes at the start of the arriving edge that comes first counterclockwise. Around a vertex leaving and
-    # arriving edges alternate, so a leaving one is closed by its successor.
-    at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
-    direction = vertices[other] - vertices[at]
-    order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
-    first, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
-    successor = order[first + (np.arange(len(order)) - first + 1) % (end - first)]
-    ends = np.empty(len(order), dtype=np.intp)
-    ends[order] = other[successor]
-    return Boundary(vertices, edges, ends[: len(edges)])
+@dataclass(frozen=True, eq=False)
+class RingEdges:
+    """Rings of a region before edges are split where a vertex lies on one.
 
-
-def is_told_apart(region: Any, tolerance: float) -> bool:
-    """Whether vertices of a region lie on edges, to a quarter of the tolerance, or not even to all of it.
-
-    If one does neither, or is as near to another vertex, edges that are split there may cross or cover one another.
+    Args:
+        vertices: Distinct vertices, in order.
+        edges: Indices of the first and last vertex of each edge, the region on its left.
+        vertex: Vertices as near as the tolerance to edges of which they are no ends.
+        edge: These edges.
+        tolerance: The tolerance.
     """
-    vertices, edges = _vertices_and_edges(region)
-    vertex, edge = _near(vertices, edges, tolerance)
-    start, end = vertices[edges[edge]].transpose(1, 0, 2)
-    along, way = end - start, vertices[vertex] - start
-    is_beside = np.abs(cross_product(along, way)) > tolerance / 4 * np.linalg.norm(along, axis=1)
-    is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
-    pieces = np.sort(_split(vertices, edges, vertex, edge), axis=1)
-    return not (is_beside | is_beyond).any() and len(np.unique(pieces, axis=0)) == len(pieces)
+
+    vertices: Float[np.ndarray, "vertices 2"]
+    edges: Int[np.ndarray, "edges 2"]
+    vertex: Int[np.ndarray, "pairs"]
+    edge: Int[np.ndarray, "pairs"]
+    tolerance: float
+
+    @classmethod
+    def of(cls, region: Any, tolerance: float, known: Boundary | None = None) -> "RingEdges":
+        """That of a valid Shapely (Multi)Polygon; edges and vertices of a known boundary are near no others of it."""
+        rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
+        points, ring = shapely.get_coordinates(rings, return_index=True)
+        numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
+        vertices, inner = np.stack([numbers.real, numbers.imag], axis=1), ring[1:] == ring[:-1]
+        edges = np.stack([index[:-1][inner], index[1:][inner]], axis=1)
+        all_vertices, all_edges = np.arange(len(vertices)), np.arange(len(edges))
+        if known is None:
+            return cls(vertices, edges, *_near(vertices, edges, tolerance, all_vertices, all_edges), tolerance)
+        of_known, of_edge = places_of(vertices, edges, known)
+        is_new = ~np.isin(all_vertices, of_known), ~np.isin(all_edges, of_edge)
+        new_vertices, new_edges = (np.flatnonzero(each) for each in is_new)
+        pairs = (
+            _near(vertices, edges, tolerance, all_vertices, new_edges),
+            _near(vertices, edges, tolerance, new_vertices, np.flatnonzero(~is_new[1])),
+        )
+        vertex, edge = np.concatenate(pairs, axis=1)
+        return cls(vertices, edges, vertex, edge, tolerance)
+
+    @property
+    def is_told_apart(self) -> bool:
+        """Whether vertices lie on edges, to a quarter of the tolerance, or not even to all of it.
+
+        If one does neither, or is as near to another vertex, edges that are split there may cross or cover one
+        another.
+        """
+        start, end = self.vertices[self.edges[self.edge]].transpose(1, 0, 2)
+        along, way = end - start, self.vertices[self.vertex] - start
+        is_beside = np.abs(cross_product(along, way)) > self.tolerance / 4 * np.linalg.norm(along, axis=1)
+        is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
+        first, last = np.sort(self._pieces, axis=1).T
+        pieces = np.sort(first * np.int64(len(self.vertices)) + last)
+        return not (is_beside | is_beyond).any() and bool((pieces[1:] != pieces[:-1]).all())
+
+    @cached_property
+    def _pieces(self) -> Int[np.ndarray, "pieces 2"]:
+        return _split(self.vertices, self.edges, self.vertex, self.edge)
+
+    @property
+    def boundary(self) -> Boundary:
+        """The boundary of the region, edges split where a vertex lies on one."""
+        vertices, edges = self.vertices, self._pieces
+        # A sector closes at the start of the arriving edge that comes first counterclockwise. Around a vertex leaving
+        # and arriving edges alternate, so a leaving one is closed by its successor.
+        at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
+        direction = vertices[other] - vertices[at]
+        order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
+        first, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
+        successor = order[first + (np.arange(len(order)) - first + 1) % (end - first)]
+        ends = np.empty(len(order), dtype=np.intp)
+        ends[order] = other[successor]
+        return Boundary(vertices, edges, ends[: len(edges)])
 
 
-def _vertices_and_edges(region: Any) -> tuple[Float[np.ndarray, "vertices 2"], Int[np.ndarray, "edges 2"]]:
-    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
-    points, ring = shapely.get_coordinates(rings, return_index=True)
-    vertices, index = np.unique(points, axis=0, return_inverse=True)
-    inner = ring[1:] == ring[:-1]
-    return vertices, np.stack([index[:-1][inner], index[1:][inner]], axis=1)
+def places_of(
+    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], old: Boundary
+) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
+    """Which vertices and edges those of a boundary are, to the bit; -1 for none."""
+    vertex = found(vertices @ [1, 1j], old.vertices @ [1, 1j])
+    size = np.int64(len(vertices))
+    start, end = vertex[old.edges].T
+    wanted = np.where((start < 0) | (end < 0), -1, start * size + end)
+    return vertex, found(edges[:, 0] * size + edges[:, 1], wanted)
 
 
 def _near(
-    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], tolerance: float
+    vertices: Float[np.ndarray, "vertices 2"],
+    edges: Int[np.ndarray, "edges 2"],
+    tolerance: float,
+    some_vertices: Int[np.ndarray, "some_vertices"],
+    some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Vertices that lie on edges, and these, without the ends of edges."""
-    lines: Any = shapely.linestrings(vertices[edges])
-    vertex, edge = shapely.STRtree(lines).query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
+    """Some of the vertices that lie on some of the edges, and these, without the ends of edges."""
+    none = np.empty(0, int)
+    if not (len(some_vertices) and len(some_edges)):
+        return none, none
+    if len(some_edges) < len(edges) or len(some_vertices) < len(vertices):  # what is nowhere near is left out at once
+        some_vertices = some_vertices[_meet(vertices[some_vertices, None], vertices[edges[some_edges]], tolerance)]
+        if not len(some_vertices):
+            return none, none
+        some_edges = some_edges[_meet(vertices[edges[some_edges]], vertices[some_vertices, None], tolerance)]
+    lines: Any = shapely.linestrings(vertices[edges[some_edges]])
+    points = shapely.points(vertices[some_vertices])
+    vertex, edge = shapely.STRtree(lines).query(points, predicate="dwithin", distance=tolerance)
+    vertex, edge = some_vertices[vertex], some_edges[edge]
     apart = (edges[edge] != vertex[:, None]).all(axis=1)
     return vertex[apart], edge[apart]
+
+
+def _meet(
+    boxes: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], tolerance: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether boxes around points meet the one around all others."""
+    lo, hi = others.min(axis=(0, 1)) - tolerance, others.max(axis=(0, 1)) + tolerance
+    return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
 
 
 def _split(

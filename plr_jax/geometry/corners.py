@@ -117,14 +117,20 @@ def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> Corne
     table, (view, vertex) = visibility_of(workspace.triangulation, views, deadline)
     seen = _corner_of_vertex(workspace.boundary, views)[vertex]
     other = (seen >= 0) & (seen != view)
-    view, seen = view[other], seen[other]
+    return CornerVisibility(corners, views, table, joined_pairs(corners, view[other], seen[other]))
+
+
+def joined_pairs(
+    corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
+) -> Int[np.ndarray, "edges 2"]:
+    """Pairs of corners, each once, of which both see one another and a shortest path may turn at one."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Both must see one another: a corner where obstacles touch may be seen from sectors that it does not look into.
     size = np.int64(len(corners.points))
     pair = _distinct(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
     both = pair[1:][pair[1:] == pair[:-1]]
-    return CornerVisibility(corners, views, table, np.stack(np.divmod(both, size), axis=1))
+    return np.stack(np.divmod(both, size), axis=1)
 
 
 def _corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:

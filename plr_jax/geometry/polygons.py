@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import compress
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import is_told_apart
+from plr_jax.geometry.boundary import Boundary, RingEdges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product
 
@@ -61,6 +61,8 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
+        if ring.is_empty:  # which blocks nothing
+            return ring
         polygon, points = ring, shapely.get_coordinates(ring)
     elif isinstance(ring, BaseGeometry):
         raise ValueError(
@@ -226,7 +228,8 @@ def sample_triangles(triangles: Float[np.ndarray, "triangles 3 2"], n: int, seed
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     """Geometries in which vertices as near to one another as the tolerance are the same, none of them dropped."""
-    points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
+    numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
+    points = np.stack([numbers.real, numbers.imag], axis=1)
     i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
@@ -245,9 +248,15 @@ def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
     return of_owner[name]
 
 
-def region_of(
-    free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision
-) -> Polygon | MultiPolygon:
+class Region(NamedTuple):
+    """Free space as a workspace keeps it, its boundary, and whether vertices are moved by no more than rounding."""
+
+    polygon: Polygon | MultiPolygon
+    boundary: Boundary
+    is_in_place: bool
+
+
+def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
     """Free space as a workspace keeps it: rounded, normalized, without collinear vertices.
 
     Vertices lie apart, and on edges or beside them, by 8 grids: walls and gaps thinner than that vanish. ``rounded``
@@ -258,7 +267,7 @@ def region_of(
     region = _simplified(rounded(free, grid), 4 * grid)
     # Snapped coarser and coarser where that is not enough, until nothing is thinner than edges may be cut beside.
     coarser = 32 * grid
-    while not is_told_apart(region, 8 * grid):
+    while not (edges := RingEdges.of(region, 8 * grid)).is_told_apart:
         if coarser > 256 * grid:
             raise ValueError(
                 f"Obstacles leave walls or gaps too thin to be told apart: make them thicker than "
@@ -266,7 +275,18 @@ def region_of(
             )
         region = _simplified(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2
-    return region
+    return Region(region, edges.boundary, coarser == 32 * grid)
+
+
+def region_after(free: Any, bounds: Box, old: Boundary) -> Region:
+    """The same of free space that had some boundary, and changed here and there: vertices are rounded one by one."""
+    grid = grid_of(bounds)
+    rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
+    if not shapely.is_valid(rounded):  # as slivers become, which rounding leaves no area
+        return region_of(free, bounds)
+    region = _simplified(rounded, 4 * grid)
+    edges = RingEdges.of(region, 8 * grid, old)
+    return Region(region, edges.boundary, True) if edges.is_told_apart else region_of(free, bounds)
 
 
 def _simplified(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:

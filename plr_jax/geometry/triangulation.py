@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from plr_jax._arrays import found
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.vectors import left_normal
+from plr_jax.geometry.vectors import cross_product, left_normal
 
 # Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
 
@@ -64,6 +65,7 @@ class Locator:
         return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
 
 
+_FEW = 4  # points
 _BITS = 46
 """Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
 
@@ -116,6 +118,13 @@ class Triangulation:
         return Locator(
             lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
         )
+
+    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
+        """The triangle that holds each point: of a few, before there is a locator, by looking at all triangles."""
+        if len(x) > _FEW or "locator" in vars(self):
+            return self.locator.find(x)
+        sides = np.roll(self.triangles, -1, axis=1) - self.triangles
+        return np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
 
     @property
     def num_bytes(self) -> int:
@@ -193,7 +202,7 @@ def _crossed(
 ) -> Int[np.ndarray, "crossed 2"]:
     """The edges that are no edges of the triangles."""
     keys = _keys(_half_edges(triangles), num_vertices)
-    return edges[_found(keys, np.argsort(keys), _keys(edges, num_vertices)) < 0]
+    return edges[found(keys, _keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -274,9 +283,7 @@ def _inside(
     """Origin, twin and wall of the half-edges between the walls: of triangles that are reached from a free side."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
-    walls, by_key = _keys(edges, num_vertices), np.argsort(key)
-    wall = _found(walls, np.argsort(walls), key)
-    twin = _found(key, by_key, opposite)
+    wall, twin = found(_keys(edges, num_vertices), key), found(key, opposite)
     blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
     open_, count = np.flatnonzero(~blocked), len(triangles)
     adjacency = coo_array((np.ones(len(open_)), (open_ // 3, twin[open_] // 3)), shape=(count, count))
@@ -288,11 +295,3 @@ def _inside(
     twin = np.where(blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
     origin = triangles.ravel()[rows]
     return origin.astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)
-
-
-def _found(
-    keys: Int[np.ndarray, "keys"], order: Int[np.ndarray, "keys"], wanted: Int[np.ndarray, "n"]
-) -> Int[np.ndarray, "n"]:
-    """Place of each wanted number among distinct keys, whose ascending order is given; -1 where it is none."""
-    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
-    return np.where(keys[place] == wanted, place, -1)

@@ -161,7 +161,7 @@ def _expansion(
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     """Cones that look out of the triangles at the viewpoints."""
     around = np.flatnonzero(views.looks_around)
-    triangle = triangulation.locator.find(views.points[around])
+    triangle = triangulation.find(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
     at_vertex = views.at_vertex(triangulation.boundary)

@@ -10,14 +10,16 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, no_attribute, require_integer, shortened
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, are_crossed, boundary_of, grown_boundary, thin_walls
+from plr_jax.geometry.boundary import Boundary, RingEdges, are_crossed, grown_boundary, thin_walls
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
+    Region,
     advice_on_cells,
     as_bounds,
     as_components,
@@ -25,6 +27,7 @@ from plr_jax.geometry.polygons import (
     grid_of,
     merge_vertices,
     prepared,
+    region_after,
     region_of,
     rounding_of,
     sample_triangles,
@@ -82,18 +85,14 @@ class Workspace:
         polygons = as_polygons("Obstacle", obstacles)
         region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
-        made = Workspace.restored(bounds, polygons, as_bool("squeeze", squeeze), region_of(free, bounds))
+        made = Workspace._made(bounds, polygons, as_bool("squeeze", squeeze), region_of(free, bounds))
         vars(self).update(vars(made))
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str):
-            ring = "Workspace(workspace.bounds, [*workspace.obstacles, ring])"
-            raise no_attribute(
-                self,
-                name,
-                f"It does not change: with one more obstacle it is {ring}, of which all else is made anew.",
-            )
+            ring = "workspace.with_obstacles([ring])"
+            raise no_attribute(self, name, f"It does not change: with one more obstacle another one is {ring}.")
 
     @classmethod
     def from_polygons(
@@ -165,7 +164,13 @@ class Workspace:
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
         blocked = thicker_than(grid_of(bounds), shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
-        return cls.restored(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
+        return cls._made(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
+
+    @classmethod
+    def _made(cls, bounds: Box, obstacles: tuple, squeeze: bool, region: Region) -> "Workspace":
+        workspace = cls.restored(bounds, obstacles, squeeze, region.polygon)
+        vars(workspace).update(boundary=region.boundary, _is_in_place=region.is_in_place)
+        return workspace
 
     @classmethod
     def restored(cls, bounds: Box, obstacles: tuple, squeeze: bool, free_space: Any) -> "Workspace":
@@ -193,7 +198,7 @@ class Workspace:
     @cached_property
     def boundary(self) -> Boundary:
         """The boundary of free space as vertices and edges, free space on the left of each edge."""
-        return boundary_of(self.free_space, 8 * grid_of(self.bounds))
+        return RingEdges.of(self.free_space, 8 * grid_of(self.bounds)).boundary
 
     @cached_property
     def triangulation(self) -> Triangulation:
@@ -355,6 +360,56 @@ class Workspace:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
         bounds = Box(self.bounds.lo + radius, self.bounds.hi - radius)
         return Workspace._from_free_space(bounds, free, self.squeeze)
+
+    def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
+        """The workspace after obstacles are set down and taken away.
+
+        Args:
+            add: Obstacles as for the class, which are numbered on.
+            remove: Numbers of obstacles, or obstacles themselves, Shapely polygons that equal these. What others
+                cover stays blocked.
+
+        Returns:
+            The workspace. All other obstacles keep their numbers: in the place of one that is gone is an empty one.
+
+        Raises:
+            ValueError: If an added obstacle is none as for the class, a removed one is none of these or already gone,
+                or nothing is left free.
+        """
+        added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
+        obstacles = (*(Polygon() if i in gone else each for i, each in enumerate(self.obstacles)), *added)
+        if not vars(self).get("_is_in_place"):  # or obstacles may not fit into their places any more
+            return Workspace(self.bounds, obstacles, squeeze=self.squeeze)
+        box, grid, removed = shapely.box(*self.bounds.lo, *self.bounds.hi), grid_of(self.bounds), sorted(gone)
+        free, opened = self.free_space, [self.obstacles[i] for i in removed]
+        beside = np.array(obstacles)[shapely.intersects(obstacles, shapely.union_all(opened))].tolist()
+        free, box, *merged = merge_vertices([free, box, *opened, *beside, *added], 8 * grid)
+        if opened:
+            opened, beside = merged[: len(removed)], merged[len(removed) : len(removed) + len(beside)]
+            opened = shapely.difference(
+                shapely.intersection(box, shapely.union_all(opened)), shapely.union_all(beside)
+            )
+            free = shapely.union(free, opened)
+        if added:
+            free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
+        return Workspace._made(self.bounds, obstacles, self.squeeze, region_after(free, self.bounds, self.boundary))
+
+    def _numbers_of(self, remove: Any) -> set[int]:
+        """Numbers of obstacles that are to be removed; ``ValueError`` if one is none."""
+        numbers: set[int] = set()
+        for each in [remove] if isinstance(remove, BaseGeometry) else remove:
+            if isinstance(each, BaseGeometry):
+                number = next((i for i, own in enumerate(self.obstacles) if own.equals(each)), -1)
+            else:
+                require_integer("Each number of an obstacle to remove", each, 0)
+                number = int(each)
+            if not 0 <= number < len(self.obstacles) or self.obstacles[number].is_empty:
+                raise ValueError(
+                    f"remove must be numbers of obstacles, below {len(self.obstacles)}, or polygons that equal one, "
+                    f"and not those that are gone, got {shortened(each)}."
+                )
+            numbers.add(number)
+        return numbers
 
     def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
         """Points drawn uniformly from free space.

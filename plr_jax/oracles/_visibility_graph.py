@@ -16,12 +16,14 @@ import shapely
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, no_attribute
+from plr_jax._arrays import as_finite_point, as_point, as_points, no_attribute, shortened
 from plr_jax._atomic import write_atomically
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.changed_distances import ChangedDistances
+from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
@@ -39,7 +41,8 @@ from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
-from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
+from plr_jax.oracles.cells.cell_sources import VisibleSources, sources_of_boxes, visible_sources
+from plr_jax.oracles.cells.changed import changed_distances
 from plr_jax.oracles.cells.family_sources import FamilySources, SharedCells
 from plr_jax.oracles.cells.sight import GoalCones, Sight
 
@@ -223,6 +226,41 @@ class VisibilityGraph:
         _assign(oracle, _free_goal(self.workspace, goal), self._pairs)
         return oracle
 
+    def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
+        """The oracle of a workspace that differs here and there, as :meth:`Workspace.with_obstacles` makes one.
+
+        What the change does not meet is shared. Any workspace will do, but the more differs, the longer it takes.
+
+        Args:
+            workspace: The other workspace.
+
+        Returns:
+            The oracle for the same goal, as if made anew, up to rounding.
+
+        Raises:
+            ValueError: If the goal is not in its closed free space.
+        """
+        require_workspace(workspace)
+        own, goal = self.workspace, self.goal
+        if (own.tolerance, own.squeeze) != (workspace.tolerance, workspace.squeeze):
+            return VisibilityGraph(workspace, goal)
+        change = Change.between(own.boundary, workspace.boundary)
+        if change.is_near(goal, own.tolerance):
+            _free_goal(workspace, goal)
+        if "triangulation" not in vars(workspace):
+            if (triangulation := changed_triangulation(own.triangulation, change)) is None:
+                return VisibilityGraph(workspace, goal)
+            vars(workspace)["triangulation"] = triangulation
+        view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+        corners, of_goal = changed_visibility(self._corners, self._of_goal, view, workspace, change)
+        oracle = object.__new__(VisibilityGraph)
+        _assign(oracle, goal, PairDistances(workspace, corners), of_goal)
+        return oracle
+
+    @property
+    def _of_goal(self) -> Looked:
+        return Looked(self._goal_table, self._goal_edges[:, 1] - 1)
+
     def save(self, path: str | os.PathLike) -> None:
         """Write what preparing the oracle has found to a file: NumPy arrays in a zip archive, without pickles.
 
@@ -260,7 +298,7 @@ class VisibilityGraph:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str):
-            changed = "Of a map that changed make another one; other goals share it, by with_goal."
+            changed = "Of a map that changed make another one, by with_workspace, as of another goal by with_goal."
             raise no_attribute(self, name, changed)
 
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
@@ -273,7 +311,7 @@ class VisibilityGraph:
     @property
     def num_bytes(self) -> int:
         """Bytes of the arrays that a query reads and another goal needs, including what their oracles share."""
-        turns = self._turns.num_bytes + self._regions.num_bytes
+        turns = self._turns.num_bytes + self.regions.num_bytes
         own = self._goal_table.num_bytes + turns + self._parents.nbytes + self.distances.nbytes
         return self._corners.num_bytes + own
 
@@ -284,7 +322,7 @@ class VisibilityGraph:
         return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
 
     @cached_property
-    def _regions(self) -> TurnRegions:
+    def regions(self) -> TurnRegions:
         turns = self._turns
         return turn_regions(turns, self.workspace.triangulation, self._corners.views[turns.vertex - 1])
 
@@ -293,6 +331,12 @@ class VisibilityGraph:
         """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
         points = self._corners.corners.with_goal(self.goal).points
         return Sources(points, self.distances, rooted(self._parents))
+
+    @cached_property
+    def sight(self) -> Sight:
+        """What tells which sources pieces of free space may use."""
+        shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
+        return Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
 
     def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
@@ -307,9 +351,7 @@ class VisibilityGraph:
             ValueError: If not all of the free space around the goal is such: corners nearer to one another than the
                 workspace's tolerance may hide it.
         """
-        shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
-        sight = Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
-        found = visible_sources(sight, self._regions, domain)
+        found = visible_sources(self.sight, self.regions, domain)
         around: Any = shapely.get_parts(self.workspace.free_space)
         around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
         # Not clip_by_rect, which errs where edges end on sides of the box.
@@ -323,6 +365,37 @@ class VisibilityGraph:
                 f"{self.workspace.tolerance:g}. Simplify the obstacles, or join them there."
             )
         return found
+
+    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> VisibleSources:
+        """As :meth:`cell_sources`, of boxes as cells, whatever they are parts of.
+
+        Args:
+            lo: Their lower corners.
+            hi: Their upper corners.
+
+        Returns:
+            The pieces of free space in them, and their sources.
+        """
+        return sources_of_boxes(self.sight, self.regions, lo, hi)
+
+    def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
+        """How distances have changed since another oracle of the same goal.
+
+        Args:
+            before: The other oracle.
+
+        Returns:
+            Where, and by how much.
+
+        Raises:
+            ValueError: If it is none, or of another goal.
+        """
+        if not isinstance(before, VisibilityGraph):
+            raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
+        if (self.goal != before.goal).any():
+            goals = f"{before.goal.tolist()} and {self.goal.tolist()}"
+            raise ValueError(f"Both oracles must have one goal, got {goals}.")
+        return changed_distances(before, self)
 
     @property
     def family(self) -> CornerVisibility:
@@ -447,17 +520,20 @@ class VisibilityGraph:
         seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         sees = self._corners.table.sees
-        ways = self._regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
+        ways = self.regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
         turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 
-def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> None:
+def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances, of_goal: Looked | None = None) -> None:
     workspace, corners = pairs.workspace, pairs.visibility
-    view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-    goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+    if of_goal is None:
+        view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+        goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+        of_goal = Looked(goal_table, corners.of_vertex[seen])
+    goal_table = of_goal.table
     # The goal, vertex 0, is joined to the corners that it sees and that see it.
-    corner = np.setdiff1d(corners.of_vertex[seen], [-1])
+    corner = np.setdiff1d(of_goal.corner, [-1])
     corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
     edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
     vars(oracle).update(workspace=workspace, goal=goal, _corners=corners, _pairs=pairs)

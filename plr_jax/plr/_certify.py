@@ -11,7 +11,7 @@ from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
-from plr_jax.plr.certificate.bounds import LeafBounds, prove_bounds
+from plr_jax.plr.certificate.bounds import LeafBounds, LeafFunctions, prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.partition.cells import grown_domain, tree_of_levels
 
@@ -96,7 +96,7 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
             "of its points reach the goal, which no sample met. Build the PLR with certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-    functions = _Functions(contents, coefficients, *cells.boxes(domain))
+    functions = functions_of(contents, coefficients, np.arange(len(cells)))
     rounding = leaf.rounding(domain, cells, coefficients)
     return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
 
@@ -126,6 +126,13 @@ def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
     order = np.argsort(np.concatenate(leaves))
     place = np.argsort(np.argsort(tree.node_of_leaf))
     return parts[0].append(*parts[1:]).of_cells(order[place])
+
+
+def functions_of(
+    contents: Contents, coefficients: Float[np.ndarray, "all_leaves terms"], leaf: Int[np.ndarray, "leaves"]
+) -> LeafFunctions:
+    """What some leaves hold, numbered as they are given."""
+    return _Functions(contents, coefficients[leaf], *contents.cells[leaf].boxes(contents.domain))
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,11 @@ class PLR(HeldFile):
     def __getattr__(self, name: str) -> Any:
         """Tables and proof of a PLR of which only the file was made yet."""
         if name not in ("tables", "band") or "_deferred" not in vars(self):
-            raise no_attribute(self, name, "It does not change: of another map or goal construct another one.")
+            raise no_attribute(
+                self,
+                name,
+                "It does not change: of a map that did, update(plr, oracle, before) is one; of a goal construct one.",
+            )
         vars(self).update(vars(vars(self)["_deferred"]()))
         return vars(self)[name]
 

@@ -28,6 +28,7 @@ SECTIONED = (
     "shaping",
     "costs",
     "volumes",
+    "living",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -45,6 +46,7 @@ FAMILIES = {
     "shaping": ("--only", "learning"),
     "costs": ("--only", "estimates"),
     "volumes": ("--only", "volumes"),
+    "living": ("--only", "maps"),
 }
 
 

@@ -20,6 +20,7 @@ from plr_jax.geometry.convex_pieces import (
     boxes_as_pieces,
     centers,
     clip_to_box,
+    clip_to_boxes,
     contain,
     cut_parts,
     difference_of_cones,
@@ -111,6 +112,10 @@ class VisibleSources:
         """Those of some pieces, each a cell of its own."""
         return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
+    def put_together(self: Found, cell: Int[np.ndarray, "cells"], num_cells: int) -> Found:
+        """The same pieces, as those of fewer cells: of each cell the one that it is in, in their order."""
+        return replace(self, num_cells=num_cells, cell=cell[self.cell])
+
     def _of_pieces(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
@@ -166,6 +171,25 @@ def visible_sources(sight: Sight, regions: TurnRegions, domain: Box) -> VisibleS
         found.append(_settled(unsettled, np.ones(count, bool)))
     together = found[0].append(*found[1:])
     return replace(together, num_cells=1, cell=np.zeros_like(together.cell))
+
+
+def sources_of_boxes(
+    sight: Sight, regions: TurnRegions, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
+) -> VisibleSources:
+    """Those of boxes as cells, whatever they are parts of."""
+    triangles = regions.triangulation.triangles.transpose(2, 0, 1)
+    pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
+    some = areas(pieces) > 0
+    pieces, cell, triangle = pieces[:, some], cell[some], triangle[some]
+    entry, piece = run_members(regions.first, triangle)
+    goal, count = np.zeros(len(cell), int), len(cell)
+    piece = np.concatenate([np.arange(count), piece])
+    source = np.concatenate([goal, regions.turns.vertex[regions.turn[entry]]])
+    order = np.argsort(piece, kind="stable")
+    of_pieces = cell, pieces, triangle, centers(pieces), np.full(count, np.inf), goal
+    unseen = np.zeros(len(piece), bool)
+    unsettled = VisibleSources(sight, len(lo), *of_pieces, piece[order], source[order], unseen)
+    return settled_cells(unsettled, np.ones(count, bool), lo, hi)
 
 
 def filled(

@@ -44,7 +44,7 @@ def in_classes(
     width = of_ranges(np.bincount(rank_of, volume), np.add) * code_factor[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
-    found = np.broadcast_to(of_class[:, :1, -1], codes.shape)
+    found, before = np.broadcast_to(of_class[:, :1, -1], codes.shape), None
     for price in _PRICES * width[0, -1]:
         costs, least, first = width + price * bits, np.zeros(number + 1), np.zeros(number, np.int64)
         for last in range(number):
@@ -56,14 +56,16 @@ def in_classes(
             start = first[end - 1]
             best[:, start:end] = of_class[:, start, end - 1, None]
             end = start
+        if before is not None and (best == before).all():
+            continue
         if not _fits(best[:, rank_of], max_bits):
             break
-        found = best[:, rank_of]
+        found, before = best[:, rank_of], best
     return found
 
 
 def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
-    if np.unique(codes, axis=1).shape[1] > 1 << _COUNT_BITS:
+    if len(np.unique(_as_numbers(codes))) > 1 << _COUNT_BITS:
         return False
     body = BitWriter()
     write_classes(body, codes)
@@ -72,13 +74,21 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
     """Append bounds of classes, at most 16 different ones, and the class of each leaf."""
-    classes, class_of, size = np.unique(codes, axis=1, return_inverse=True, return_counts=True)
-    order = np.argsort(-size, kind="stable")
-    place = np.argsort(order)[class_of.ravel()]
+    _, first, class_of, size = np.unique(
+        _as_numbers(codes), return_index=True, return_inverse=True, return_counts=True
+    )
+    classes, order = codes[:, first], np.argsort(-size, kind="stable")
+    place = np.argsort(order)[class_of]
     body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel().astype(np.int64), _CODE_BITS)
     for each in range(len(order) - 1):
         body.write_set(place > each)
         place = place[place > each]
+
+
+def _as_numbers(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
+    """Both codes of each as one number, in their order."""
+    lower, upper = codes.astype(np.int64)
+    return (lower << _CODE_BITS) + upper
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import product_in_order
-from plr_jax._types import FamilyFn, Sources
+from plr_jax._types import CellSources, ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
 from plr_jax.plr.growth.limits import Limits
@@ -295,8 +296,43 @@ MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
 """Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
 
 
+class UpdatedLeaves(NamedTuple):
+    """Leaves after a map has changed, in the order of their tree's traversal.
+
+    Attributes:
+        cells: The leaves.
+        stored: What a file keeps of them.
+        bounds: Of the distance minus what those hold that stay.
+        anew: The others.
+        visible: The sources of these as cells.
+    """
+
+    cells: Cells
+    stored: Any
+    bounds: LeafBounds
+    anew: Int[np.ndarray, "anew"]
+    visible: CellSources
+
+
 class FamilyLeafModel(SourcedLeafModel):
-    """A leaf model whose leaves are found for many distance functions of a family at once."""
+    """A leaf model of cells that an oracle answers for: of a family of functions at once, and after a change."""
+
+    @abstractmethod
+    def updated(
+        self,
+        domain: Box,
+        tree: Tree,
+        stored: Any,
+        bounds: LeafBounds,
+        oracle: ChangingFn,
+        before: ChangingFn,
+        limits: Limits,
+    ) -> UpdatedLeaves | None:
+        """Leaves of a changed map, within limits: those that hold, and others anew; None if that does not do.
+
+        Raises ``ValueError`` if the oracle before is found to be another one than that of the bounds.
+        """
+        ...
 
     @abstractmethod
     def family_task(

@@ -92,8 +92,13 @@ def views_of(visible: CellSources, source: Int[np.ndarray, "some"]) -> Int[np.nd
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
     """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
-    resolved = float(np.finfo(np.float32).eps / 4 * visible.distance.max(initial=0.0))
-    return fitted_boxes(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
+    negligible = max(tolerance, resolved_error(visible.distance))
+    return fitted_boxes(domain, negligible, Cells.root(domain.dim), visible)
+
+
+def resolved_error(distances: Float[np.ndarray, "n"]) -> float:
+    """The least error that a query resolves of distances, some of which may be ``inf``."""
+    return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
 def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:

@@ -1,0 +1,198 @@
+"""Maps that change: oracles and certified cones kept up to date, beside both built anew.
+
+``maps``: 100 changes, one after the other, of each map: two in five set a box of 1 to 3 % of the width down at a
+random free place, two in five take one of these away, one in five closes a doorway (a box across free space between
+two walls, where that is narrowest of several places) or opens it again. Told are medians of the CPU seconds of all
+cores of what each takes, and of both built anew, every tenth time. Then bounds are tested at random free points, a
+tenth of them around what has changed since, against an oracle that is built anew; broken is one beyond the truth by
+more than queries in 32 bits round. Errors are means at such points, as shares of the mean distance, of the PLR after
+all changes and of one built anew.
+
+``sequences``: random sequences of changes of small maps, of boxes and polygons that touch, overlap, leave slivers,
+lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
+tolerance of the workspace where slivers are as thin.
+"""
+
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+
+from experiments._measures import timed
+from experiments._runner import Section, run
+from experiments.benchmarks._maps import load_maps
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, update
+
+MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
+CHANGES, EVERY, POINTS = 100, 10, 1_000_000
+SEQUENCES, STEPS = 2_000, 20
+_ROUNDING = 1e-6  # of the distance and the width: what queries in 32 bits round
+_TRIED = 40  # places of a doorway
+
+Points = Float[np.ndarray, "n 2"]
+
+
+def maps(seed: int, smoke: bool) -> dict[str, Any]:
+    found = load_maps(MAPS[:1] if smoke else MAPS)
+    return {"bytes": BYTES, "rows": [_changed(name, *each, seed, smoke) for name, each in found.items()]}
+
+
+def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bool) -> dict[str, Any]:
+    rng, num_bytes = np.random.default_rng(seed), 1_024 if smoke else BYTES
+    oracle, plr = _anew(workspace, goal, num_bytes)
+    made: list[int] = []
+    seconds: dict[str, list[float]] = {"workspace": [], "oracle": [], "cones": [], "anew": []}
+    around, broken, errors, largest = [], 0, {}, plr.num_bytes
+    for step in range(1, (2 if smoke else CHANGES) + 1):
+        change = _change(rng, oracle, made)
+        around += change.get("add", [workspace.obstacles[i] for i in change.get("remove", ())])
+        before, first = oracle, len(workspace.obstacles)
+        took, workspace = timed(lambda change=change, workspace=workspace: workspace.with_obstacles(**change))
+        seconds["workspace"].append(took)
+        took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
+        seconds["oracle"].append(took)
+        took, plr = timed(
+            lambda plr=plr, oracle=oracle, before=before: update(plr, oracle, before, max_bytes=num_bytes)
+        )
+        seconds["cones"].append(took)
+        made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
+        largest = max(largest, plr.num_bytes)
+        if step % (1 if smoke else EVERY) == 0:
+            took, (truth, other) = timed(lambda workspace=workspace: _anew(workspace, goal, num_bytes))
+            seconds["anew"].append(took)
+            x = _points(rng, workspace, around, 1_000 if smoke else POINTS)
+            distance = truth(x)
+            x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
+            broken += _num_broken(plr, x, distance)
+            errors = {key: _error(each, x, distance) for key, each in (("updated", plr), ("built anew", other))}
+            around = []
+    medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items() if key != "anew"}
+    total = sum(medians.values())
+    return {
+        "map": name,
+        "vertices": len(workspace.boundary.vertices),
+        "changes": len(seconds["cones"]),
+        **medians,
+        "ms": total,
+        "ms anew": (anew := 1e3 * float(np.median(seconds["anew"]))),
+        "times as soon": anew / total,
+        "bounds broken": broken,
+        **{f"error, {key}": each for key, each in errors.items()},
+        "bytes at most": largest,
+    }
+
+
+def _anew(workspace: Workspace, goal: Points, num_bytes: int) -> tuple[VisibilityGraph, PLR]:
+    """An oracle, of the obstacles alone, and cones of it."""
+    oracle = VisibilityGraph(Workspace(workspace.bounds, workspace.obstacles, squeeze=workspace.squeeze), goal)
+    return oracle, construct(oracle, workspace.bounds, leaf="cone", max_bytes=num_bytes, certified=True)
+
+
+def _change(rng: np.random.Generator, oracle: VisibilityGraph, made: list[int]) -> dict[str, Any]:
+    """A box set down or taken away, or a doorway closed."""
+    kind, goal = rng.random(), shapely.Point(oracle.goal)
+    if made and kind < 0.5:
+        return {"remove": [int(rng.choice(made))]}
+    while True:
+        box = _doorway(rng, oracle.workspace) if kind > 0.85 else _box(rng, oracle.workspace)
+        if not box.intersects(goal):
+            return {"add": [box]}
+
+
+def _box(rng: np.random.Generator, workspace: Workspace) -> shapely.Polygon:
+    center = workspace.sample_free(1, int(rng.integers(2**31)))[0]
+    half = workspace.bounds.width.max() * rng.uniform(0.01, 0.03, 2) / 2
+    return shapely.box(*(center - half), *(center + half))
+
+
+def _doorway(rng: np.random.Generator, workspace: Workspace) -> shapely.Polygon:
+    """A box that reaches from wall to wall, at the narrowest of some places."""
+    center = workspace.sample_free(_TRIED, int(rng.integers(2**31)))
+    reach, thin, lines = workspace.bounds.width.max(), 0.002 * workspace.bounds.width.max(), []
+    for axis in range(2):
+        step = reach * np.eye(2)[axis]
+        across: Any = shapely.linestrings(np.stack([center - step, center + step], axis=1))
+        parts = shapely.intersection(across, workspace.free_space)
+        lines += [
+            next(part for part in shapely.get_parts(each) if part.dwithin(shapely.Point(at), 1e-6 * reach))
+            for each, at in zip(parts, center, strict=True)
+        ]
+    narrowest = min(lines, key=lambda line: line.length)
+    (x0, y0), (x1, y1) = np.array(narrowest.bounds).reshape(2, 2) + thin * np.array([[-1], [1]])
+    return shapely.box(x0, y0, x1, y1)
+
+
+def _points(rng: np.random.Generator, workspace: Workspace, around: list[Any], num: int) -> Points:
+    """Random free points, a tenth of them around polygons."""
+    x = [workspace.sample_free(num - num // 10, int(rng.integers(2**31)))]
+    for polygon in around:
+        lo, hi = np.array(polygon.bounds).reshape(2, 2)
+        near = lo - 0.5 * (hi - lo) + 2 * (hi - lo) * rng.random((num // (10 * len(around)), 2))
+        x.append(near[workspace.is_free(near)])
+    return np.concatenate(x)
+
+
+def _num_broken(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> int:
+    lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
+    rounding = _ROUNDING * (distance + plr.domain.width.max())
+    return int(np.count_nonzero((lower > distance + rounding) | (upper < distance - rounding)))
+
+
+def _error(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> float:
+    return float(np.abs(np.asarray(plr(x), float) - distance).mean() / distance.mean())
+
+
+def sequences(seed: int, smoke: bool) -> dict[str, Any]:
+    counts = {"sequences": 5 if smoke else SEQUENCES, "changes": 0, "refused": 0, "different": 0}
+    furthest = {"grid": 0.0, "slivers": 0.0}
+    for each in range(counts["sequences"]):
+        rng = np.random.default_rng((seed, each))
+        kinds = ["grid"] if each % 3 == 0 else ["grid", "thin", "polygon", "box"]
+        workspace = Workspace(((0, 0), (8, 8)), squeeze=bool(each % 2))
+        oracle = VisibilityGraph(workspace, rng.uniform(4.1, 4.9, 2))
+        for _ in range(STEPS):
+            present = [i for i, obstacle in enumerate(workspace.obstacles) if not obstacle.is_empty]
+            remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
+            add = [_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
+            counts["changes"] += 1
+            try:
+                new = workspace.with_obstacles(add, remove)
+                alone = Workspace(workspace.bounds, new.obstacles, squeeze=workspace.squeeze)
+                truth = VisibilityGraph(alone, oracle.goal)
+            except ValueError:  # nothing is free, the goal is covered, or walls are too thin
+                counts["refused"] += 1
+                continue
+            workspace, oracle = new, oracle.with_workspace(new)
+            x = np.concatenate([rng.uniform(0, 8, (100, 2)), rng.integers(0, 9, (20, 2))])
+            x = x[np.abs(alone.clearance(x)) > 1e-7]
+            ours, theirs = oracle(x), truth(x)
+            both = np.isfinite(ours) & np.isfinite(theirs)
+            apart = float(np.abs(ours[both] - theirs[both]).max(initial=0.0)) / 8
+            of_kind = "grid" if len(kinds) == 1 else "slivers"
+            furthest[of_kind] = max(furthest[of_kind], apart)
+            allowed = 1e-12 if len(kinds) == 1 else workspace.tolerance
+            counts["different"] += (np.isfinite(ours) != np.isfinite(theirs)).any() or apart > allowed
+    return (
+        counts
+        | {f"most apart, {name}": value for name, value in furthest.items()}
+        | {"different": int(counts["different"])}
+    )
+
+
+def _obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
+    corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
+    if kind == "grid":
+        corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
+    if kind == "thin":
+        size[rng.integers(2)] = 10.0 ** -rng.integers(1, 12)
+    if kind == "polygon":
+        turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
+        return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return shapely.box(*corner, *(corner + size))
+
+
+SECTIONS = {each.__name__: Section(each) for each in (maps, sequences)}
+
+if __name__ == "__main__":
+    run("living", __doc__, SECTIONS)

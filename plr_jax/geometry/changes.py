@@ -1,0 +1,294 @@
+"""What stays of triangles and of what corners see, when free space changes here and there.
+
+Two workspaces are compared edge by edge: edges of both, to the bit, are kept. Triangles stay that no changed
+edge meets, and the rest is triangulated anew between them. Corners stay, with all they see, that cannot see a changed
+edge. So the cost follows the change, but for a few passes over arrays of all edges.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from plr_jax._arrays import run_members, runs
+from plr_jax.geometry.boundary import Boundary, places_of
+from plr_jax.geometry.corners import CornerVisibility, find_corners, joined_pairs
+from plr_jax.geometry.triangulation import Triangulation, after, triangulation_of
+from plr_jax.geometry.vectors import pseudo_angle
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
+from plr_jax.geometry.workspace import Workspace
+
+_TURN = 4.0  # of a pseudo-angle
+_BESIDE = 1e-9  # of it, by which rounding may turn directions
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Two boundaries, and which edges and vertices of the old one are which of the new one.
+
+    Attributes:
+        old: The boundary before.
+        new: The boundary after.
+        vertex: The new vertex that each old one is; -1 for none.
+        edge: The new edge that each old one is; -1 for none.
+    """
+
+    old: Boundary
+    new: Boundary
+    vertex: Int[np.ndarray, "old_vertices"]
+    edge: Int[np.ndarray, "old_edges"]
+
+    @classmethod
+    def between(cls, old: Boundary, new: Boundary) -> "Change":
+        """That of two boundaries."""
+        return cls(old, new, *places_of(new.vertices, new.edges, old))
+
+    @cached_property
+    def is_new(self) -> Bool[np.ndarray, "new_edges"]:
+        """Which new edges are no old ones."""
+        is_new = np.ones(len(self.new.edges), bool)
+        is_new[self.edge[self.edge >= 0]] = False
+        return is_new
+
+    @cached_property
+    def segments(self) -> Float[np.ndarray, "changed 2 2"]:
+        """All edges that are of one boundary alone."""
+        return np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
+
+    def is_near(self, x: Float[np.ndarray, "2"], margin: float) -> bool:
+        """Whether a point is in one of the boxes around changed edges."""
+        return any((box[0] <= x).all() and (x <= box[2]).all() for box in self.boxes(margin))
+
+    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
+        """Corners of boxes with a margin around the changed edges, one around those that hang together."""
+        points, index = np.unique(self.segments.reshape(-1, 2), axis=0, return_inverse=True)
+        start, end = index.reshape(-1, 2).T
+        graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
+        num, part = connected_components(graph, directed=False)
+        lo, hi = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
+        np.minimum.at(lo, part, points)
+        np.maximum.at(hi, part, points)
+        return [
+            np.array([(a, c), (b, c), (b, d), (a, d)])
+            for (a, c), (b, d) in zip(lo - margin, hi + margin, strict=True)
+        ]
+
+
+def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
+    """The triangulation after a change; None where rounding keeps new triangles from filling the gap."""
+    kept = ~_are_met(old, change)
+    half_kept = np.repeat(kept, 3)
+    wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
+    has_triangle = np.zeros(len(change.new.edges), bool)
+    has_triangle[wall[half_kept & (wall >= 0)]] = True
+    # The gap lies between new walls, those that lost their triangles, and what triangles that stay look out by.
+    vertex = change.vertex[old.origin]
+    rims = np.flatnonzero(~half_kept & (old.twin >= 0) & half_kept[old.twin])
+    walls = np.flatnonzero(~has_triangle)
+    edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[after(rims)]], axis=1)])
+    if (edges < 0).any():
+        return None
+    local, ends = np.unique(edges, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    gap = Boundary(change.new.vertices[local], ends, np.zeros(len(ends), int))
+    try:
+        fill = triangulation_of(gap, old.tolerance)
+    except ValueError:
+        return None
+    if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):
+        return None
+    kept_half = np.flatnonzero(half_kept)
+    number = np.full(len(half_kept), -1)
+    number[kept_half] = np.arange(len(kept_half))
+    origin = np.concatenate([vertex[kept_half], local[fill.origin]])
+    twin = np.concatenate(
+        [
+            np.where(old.twin[kept_half] >= 0, number[old.twin[kept_half]], -1),
+            np.where(fill.twin >= 0, fill.twin + len(kept_half), -1),
+        ]
+    )
+    names = np.append(walls, np.full(len(rims), -1))
+    walls_of_fill = np.where(fill.wall >= 0, names[fill.wall], -1)
+    is_rim = np.flatnonzero(fill.wall >= len(walls))
+    beyond = number[old.twin[rims[fill.wall[is_rim] - len(walls)]]]
+    twin[len(kept_half) + is_rim], twin[beyond] = beyond, len(kept_half) + is_rim
+    wall = np.concatenate([wall[kept_half], walls_of_fill])
+    return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
+
+
+def _are_met(old: Triangulation, change: Change) -> Bool[np.ndarray, "triangles"]:
+    """Which triangles have a wall that is gone, or meet an edge that is new."""
+    is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
+    met = np.asarray(is_gone.reshape(-1, 3).any(axis=1))
+    segments = change.new.segments[change.is_new]
+    if not len(segments):
+        return met
+    triangles, tolerance = old.triangles, old.tolerance
+    lo, hi = triangles.min(axis=1) - tolerance, triangles.max(axis=1) + tolerance
+    first, last = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
+    near = np.flatnonzero(((lo <= last) & (hi >= first)).all(axis=1) & ~met)
+    polygons: Any = shapely.polygons(triangles[near])
+    lines: Any = shapely.linestrings(segments)
+    row, _ = shapely.STRtree(lines).query(polygons, predicate="dwithin", distance=tolerance)
+    met[near[row]] = True
+    return met
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What a goal sees.
+
+    Attributes:
+        table: Its visibility polygon.
+        corner: Corners that it may see.
+    """
+
+    table: VisibilityTable
+    corner: Int[np.ndarray, "corners"]
+
+
+def changed_visibility(
+    old: CornerVisibility, of_goal: Looked, goal: Viewpoints, workspace: Workspace, change: Change
+) -> tuple[CornerVisibility, Looked]:
+    """What the corners of a workspace and a goal see after a change, of which its triangulation knows."""
+    corners, views = find_corners(workspace)
+    same = _same_corners(old, views, change)
+    before = np.where(np.append(_may_see(old.table, change), True)[same], -1, same)
+    goal_looks = bool(_may_see(of_goal.table, change)[0])
+    kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
+    found, (view, vertex) = visibility_of(workspace.triangulation, _and(views[looks], goal if goal_looks else None))
+    table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
+    of_vertex = np.full(len(workspace.boundary.vertices), -1)
+    of_vertex[workspace.boundary.edges[views.edge, 0]] = views.owner
+    seen = of_vertex[vertex]
+    if goal_looks:
+        new = Looked(
+            _spliced([_Views(found, np.array([len(looks)]), np.zeros(1, int))], change), seen[view == len(looks)]
+        )
+    else:
+        now = np.full(len(old.corners.points), -1)
+        now[same[same >= 0]] = np.flatnonzero(same >= 0)
+        new = Looked(
+            _spliced([_Views(of_goal.table, np.zeros(1, int), np.zeros(1, int))], change), now[of_goal.corner]
+        )
+    # Pairs of corners of which both stay are what they were; of the others one has looked anew.
+    number = np.full(len(old.corners.points), -1)
+    number[before[kept]] = kept
+    edges = number[old.edges]
+    edges = edges[(edges >= 0).all(axis=1)]
+    is_pair = (view < len(looks)) & (seen >= 0)
+    view, seen = looks[view[is_pair]], seen[is_pair]
+    view, seen = view[view != seen], seen[view != seen]
+    back = np.flatnonzero(before[seen] >= 0)
+    back = back[table.sees(seen[back], corners.points[view[back]])]
+    view, seen = np.append(view, seen[back]), np.append(seen, view[back])
+    edges = np.concatenate([edges, joined_pairs(corners, view, seen)])
+    size = np.int64(max(1, len(corners.points)))
+    keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
+    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
+
+
+def _and(views: Viewpoints, other: Viewpoints | None) -> Viewpoints:
+    if other is None:
+        return views
+    points, owner = np.concatenate([views.points, other.points]), other.owner + len(views.points)
+    return Viewpoints(points, np.append(views.owner, owner), np.append(views.edge, other.edge))
+
+
+def _same_corners(old: CornerVisibility, views: Viewpoints, change: Change) -> Int[np.ndarray, "corners"]:
+    """The old corner that each new one is, between the same walls; -1 for none."""
+    boundary = change.new
+    of_vertex = np.full(len(boundary.vertices), -1)
+    old_vertex = change.old.edges[old.views.edge, 0]
+    is_kept = change.vertex[old_vertex] >= 0
+    of_vertex[change.vertex[old_vertex[is_kept]]] = old.views.owner[is_kept]
+    before = np.full(len(views.points), -1)
+    before[views.owner] = of_vertex[boundary.edges[views.edge, 0]]
+    # All sectors that either looks into open and close at edges of both.
+    stays = np.zeros(len(boundary.edges), bool)
+    old_edge = np.flatnonzero(change.edge >= 0)
+    end = change.vertex[change.old.sector_end[old_edge]]
+    stays[change.edge[old_edge]] = boundary.sector_end[change.edge[old_edge]] == end
+    differs = np.zeros(len(views.points), bool)
+    differs[views.owner[~stays[views.edge]]] = True
+    counts = np.bincount(views.owner, minlength=len(views.points))
+    old_counts = np.bincount(old.views.owner, minlength=len(old.views.points))
+    differs |= counts != np.append(old_counts, 0)[before]
+    return np.where(differs, -1, before)
+
+
+def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
+    """Which viewpoints name a changed edge, or may see one: not all walls that they see towards it are nearer."""
+    sees = np.zeros(len(table.points), bool)
+    gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
+    sees[np.searchsorted(table.first, gone, side="right") - 1] = True
+    for box in change.boxes(4 * table.tolerance):
+        rest = np.flatnonzero(~sees)
+        sees[rest[may_see(table, rest, box)]] = True
+    return sees
+
+
+def may_see(
+    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether viewpoints may see some of convex polygons: not all walls that they see towards these are nearer.
+
+    Args:
+        table: What viewpoints see.
+        view: The viewpoints.
+        hull: Corners of the polygon, of all of them or of each.
+    """
+    hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
+    away = hull - table.points[view, None]
+    (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
+    angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
+    # From outside it is seen in all but the widest gap between directions of its corners, of half a turn or more.
+    gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
+    each, widest = np.arange(len(view)), gap.argmax(axis=1)
+    first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]
+    sees, wraps = gap[each, widest] < _TURN / 2, first > last
+    number = np.append(each, each[wraps])
+    low = np.append(np.where(wraps, 0.0, first), first[wraps])
+    high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
+    of = view[number]
+    begin = np.searchsorted(table.key, _TURN * of + low - _BESIDE, side="right") - 1
+    end = np.searchsorted(table.key, _TURN * of + high + _BESIDE, side="right")
+    begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
+    run, place = runs(np.maximum(end - begin, 0))
+    edge, number = table.edge[begin[run] + place], number[run]
+    number, edge = number[edge >= 0], edge[edge >= 0]
+    normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
+    height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
+    sees[number[height.max(axis=1) >= offset]] = True
+    return sees
+
+
+class _Views(NamedTuple):
+    """Some viewpoints of a table, and the place in another one that each comes to."""
+
+    table: VisibilityTable
+    which: Int[np.ndarray, "views"]
+    place: Int[np.ndarray, "views"]
+
+
+def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
+    """Visibility polygons of some viewpoints of tables, of the old boundary or the new one, each at its new place."""
+    num = sum(len(which) for _, which, _ in parts)
+    points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
+    for table, which, place in parts:
+        points[place], cut[place] = table.points[which], table.cut[which]
+        counts[place] = np.diff(table.first)[which]
+    first = np.append(0, np.cumsum(counts))
+    key, edge = np.empty(first[-1]), np.empty(first[-1], parts[-1][0].edge.dtype)
+    for table, which, place in parts:
+        to, _ = run_members(first, place)
+        row, run = run_members(table.first, which)
+        key[to] = table.key[row] - _TURN * (which - place)[run]
+        edge[to] = np.append(change.edge, -1)[table.edge[row]] if table.boundary is change.old else table.edge[row]
+    return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+import shapely
+
+from plr_jax import VisibilityGraph, Workspace
+from plr_jax.geometry.boundary import RingEdges
+
+BOUNDS = ((0, 0), (8, 8))
+
+
+def obstacle(rng, kind):
+    """A polygon that may overlap or touch others, be a sliver, or leave the bounds."""
+    corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
+    if kind == "grid":
+        corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
+    if kind == "thin":
+        size[rng.integers(2)] = 10.0 ** -rng.integers(1, 12)
+    if kind == "polygon":
+        turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
+        return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return shapely.box(*corner, *(corner + size))
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_an_oracle_after_changes_is_the_one_made_anew(seed):
+    rng = np.random.default_rng(seed)
+    kinds = ["grid"] if seed % 4 == 0 else ["grid", "thin", "polygon", "box"]
+    workspace = Workspace(BOUNDS, squeeze=bool(seed % 2))
+    goal = rng.uniform(4.1, 4.9, 2)
+    oracle = VisibilityGraph(workspace, goal)
+    for _ in range(8):
+        present = [i for i, each in enumerate(workspace.obstacles) if not each.is_empty]
+        add = [obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
+        remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
+        try:
+            anew = Workspace(BOUNDS, workspace.with_obstacles(add, remove).obstacles, squeeze=workspace.squeeze)
+            truth = VisibilityGraph(anew, goal)
+        except ValueError:  # a goal that is covered, or walls that are too thin, at both alike
+            continue
+        workspace = workspace.with_obstacles(add, remove)
+        oracle = oracle.with_workspace(workspace)
+        assert abs(workspace.free_space.area - anew.free_space.area) < 64 * workspace.tolerance
+        x = np.concatenate([rng.uniform(0, 8, (100, 2)), rng.integers(0, 9, (20, 2))])
+        x = x[np.abs(anew.clearance(x)) > 1e-7]
+        # Slivers as thin as the tolerance may be kept or lost.
+        np.testing.assert_allclose(oracle(x), truth(x), rtol=0, atol=1e-12 * 8 if kinds == ["grid"] else 1e-8)
+
+
+def test_what_the_change_does_not_meet_is_shared():
+    posts = [shapely.box(x, y, x + 0.3, y + 0.3) for x in range(8) for y in range(8)]
+    before = VisibilityGraph(Workspace(BOUNDS, posts), (0.7, 0.7))
+    after = before.with_workspace(before.workspace.with_obstacles([shapely.box(7.5, 7.5, 7.6, 7.6)]))
+    assert np.isin(before.workspace.boundary.vertices @ [1, 1j], after.workspace.boundary.vertices @ [1, 1j]).all()
+    assert after.workspace.boundary.edges.shape[0] == 4 + before.workspace.boundary.edges.shape[0]
+    shared = (after.distances[1:, None] == before.distances[1:]).any(axis=1)
+    assert shared.sum() == len(before.distances) - 1
+    # Of the other bounds nothing can be shared.
+    other = Workspace(((0, 0), (9, 9)), posts)
+    np.testing.assert_array_equal(
+        before.with_workspace(other).distances, VisibilityGraph(other, (0.7, 0.7)).distances
+    )
+
+
+def test_a_goal_that_is_covered_is_refused():
+    oracle = VisibilityGraph(Workspace(BOUNDS), (4, 4))
+    with pytest.raises(ValueError, match="lies in an obstacle"):
+        oracle.with_workspace(oracle.workspace.with_obstacles([shapely.box(3, 3, 5, 5)]))
+
+
+def test_obstacles_keep_their_numbers_and_come_back():
+    posts = [shapely.box(x, 3, x + 1, 5) for x in (1, 3, 5)]
+    workspace = Workspace(BOUNDS, posts)
+    without = workspace.with_obstacles(remove=[1])
+    assert [each.is_empty for each in without.obstacles] == [False, True, False]
+    assert without.free_space.area == pytest.approx(60) and not workspace.obstacles[1].is_empty
+    back = without.with_obstacles([posts[1]])
+    assert len(back.obstacles) == 4 and back.free_space.equals(workspace.free_space)
+    last = back.with_obstacles(remove=[3, posts[2]])
+    assert [i for i, each in enumerate(last.obstacles) if not each.is_empty] == [0]
+    # What another one covers stays blocked, within the bounds.
+    over = workspace.with_obstacles([shapely.box(0, 4, 9, 9)], remove=posts[:1])
+    assert over.free_space.area == pytest.approx(32 - 2)
+    assert over.with_obstacles(remove=[3]).free_space.area == pytest.approx(60)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"remove": [3]}, "remove must be numbers of obstacles, below 1"),
+        ({"remove": [-1]}, "integer >= 0"),
+        ({"remove": [0.5]}, "integer"),
+        ({"remove": [shapely.box(0, 0, 1, 2)]}, "or polygons that equal one"),
+        ({"add": [[(0, 0), (1, 1)]]}, "Added obstacle 0 has 2 distinct vertices"),
+        ({"add": [shapely.box(-1, -1, 9, 9)]}, "no free space"),
+    ],
+)
+def test_changes_that_cannot_be_are_refused(change, message):
+    workspace = Workspace(BOUNDS, [shapely.box(0, 0, 1, 1)])
+    with pytest.raises(ValueError, match=message):
+        workspace.with_obstacles(**change)
+    with pytest.raises(ValueError, match="not those that are gone"):
+        workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
+
+
+def test_an_outline_near_a_known_one_is_found_as_if_nothing_were_known():
+    rng = np.random.default_rng(0)
+    workspace = Workspace(BOUNDS, [obstacle(rng, "grid") for _ in range(6)])
+    region = workspace.with_obstacles([obstacle(rng, "box")]).free_space
+    tolerance = 8 * workspace.tolerance / 1e3
+    known, alone = RingEdges.of(region, tolerance, workspace.boundary), RingEdges.of(region, tolerance)
+    assert known.is_told_apart and alone.is_told_apart
+    np.testing.assert_array_equal(known.boundary.edges, alone.boundary.edges)
+
+
+def test_without_a_change_nothing_is_found_anew():
+    oracle = VisibilityGraph(Workspace(BOUNDS, [shapely.box(2, 2, 3, 3)]), (1, 1))
+    same = oracle.with_workspace(oracle.workspace.with_obstacles())
+    np.testing.assert_array_equal(same.distances, oracle.distances)
+    x = np.random.default_rng(0).uniform(0, 8, (50, 2))
+    np.testing.assert_array_equal(same(x), oracle(x))
