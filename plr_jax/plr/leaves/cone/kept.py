@@ -83,7 +83,7 @@ class ConeLeaves:
         changes.take(leaf, changed.change[triangle])
         leaf, triangle = self._meeting(changed.triangles, np.flatnonzero(~is_uniform))
         changes.differ[leaf[changed.was_cut_off[triangle]]] = True
-        of, pairs = self._as_low(changes, leaf, triangle, changed.before, before)
+        of, pairs = self._as_low(changes, leaf, triangle, changed.before, before, np.zeros(len(source)))
         changes.differ[of[self._are_cut(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
         changes.take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
         if (np.maximum(np.abs(changes.least), np.abs(changes.most))[changes.are_known] > changed.rounding).any():
@@ -92,26 +92,32 @@ class ConeLeaves:
             changes.take(still, np.zeros(len(still)))
         changes.differ[changes.are_known & ~(changes.most - changes.least <= changed.rounding)] = True
         changes.differ[~(np.abs(of_source - changes.change) <= 2 * changed.rounding)] = True
-        of, pairs = self._as_low(changes, leaf, triangle, changed.after, after)
+        of, pairs = self._as_low(changes, leaf, triangle, changed.after, after, changes.change)
         grows_less = np.isnan(pairs.change) | (pairs.change < changes.change[of] - changed.rounding)
         changes.differ[of[grows_less | self._are_cut(of, pairs, after, changed)]] = True
         return np.where(changes.differ, np.nan, changes.change), source
 
     def _as_low(
-        self, changes: "_Changes", leaf: Leaf, triangle: Leaf, pairs: TriangleSources, sources: Sources
+        self,
+        changes: "_Changes",
+        leaf: Leaf,
+        triangle: Leaf,
+        pairs: TriangleSources,
+        sources: Sources,
+        grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Leaves, and pairs of triangles that they meet of which cones come as low as what is proven of the leaf."""
+        """Leaves, and pairs of triangles that they meet of which cones come as low as distances there may be.
+
+        At most these are what was proven of the leaf, and by how much they have grown.
+        """
         rows, met = run_members(pairs.first(int(triangle.max(initial=-1)) + 1), triangle)
         of, is_open = leaf[met], ~changes.differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
-        (lo, hi), apex, offset = (
-            self._boxes,
-            sources.points[pairs.source[rows]],
-            sources.distances[pairs.source[rows]],
-        )
+        (lo, hi), source = self._boxes, pairs.source[rows]
+        apex, offset = sources.points[source], sources.distances[source]
         center, half = (lo + hi) / 2, np.linalg.norm(hi - lo, axis=1) / 2
         own = self.offset + np.linalg.norm(center - self.apex, axis=1) + 2 * half
-        limit = self.bounds.upper[of] + changes.change[of] + self.slack
+        limit = self.bounds.upper[of] + grown[of] + self.slack
         near = np.flatnonzero(offset + np.linalg.norm(center[of] - apex, axis=1) - own[of] <= limit)
         of, rows = of[near], rows[near]
         pieces = boxes_as_pieces(lo[of], hi[of])
