@@ -331,7 +331,8 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
 def _obstacle(workspace: Workspace, body: Any) -> str:
     """What a body runs into."""
     obstacles = np.array(workspace.obstacles, dtype=object)
-    distance = np.append(shapely.distance(body, obstacles), np.inf)
+    # An obstacle that is gone, an empty one, is at no distance.
+    distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
     return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"

@@ -29,6 +29,13 @@ def report(robots, *rows, workspace=ROOM):
     return validate(Problem(workspace, robots, path[0], path[-1]), path)
 
 
+def test_an_obstacle_that_is_gone_is_passed_and_others_are_told_by_their_numbers():
+    without = ROOM.with_obstacles(remove=[0])
+    assert report([DISC], [(3.3, 3.3)], [(3.3, 3.7)], workspace=without).valid
+    result = report([DISC], [(1, 2)], [(3, 2)], workspace=without)
+    assert result.message.startswith("Robot 0 collides with obstacle 1")
+
+
 def test_a_free_path_is_valid_with_its_cost_and_clearance():
     result = report([DISC], [(1, 1)], [(1, 3)], [(2, 3)])
     assert result.valid and result.when is None

@@ -370,7 +370,8 @@ class Workspace:
                 cover stays blocked.
 
         Returns:
-            The workspace. All other obstacles keep their numbers: in the place of one that is gone is an empty one.
+            The workspace. All other obstacles keep their numbers: in the place of one that is gone is an empty one,
+            which files of scenes leave out.
 
         Raises:
             ValueError: If an added obstacle is none as for the class, a removed one is none of these or already gone,

@@ -143,10 +143,11 @@ def _robot(i: int, entry: Any, version: int) -> Robot:
 
 
 def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
+    parts = shapely.get_parts(workspace.obstacles)
     return {
         "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
         "squeeze": workspace.squeeze,
-        "obstacles": [rings_of(polygon) for polygon in shapely.get_parts(workspace.obstacles)],
+        "obstacles": [rings_of(polygon) for polygon in parts[~shapely.is_empty(parts)]],
     }
 
 

@@ -23,6 +23,10 @@ PROBLEMS = {
     "blocked margin": Problem(Workspace(((0, 0), (4, 4)), [box(0, 0, 1, 4)]), POINT, [(2, 2)], [(3, 3)]),
     "two parts, a hole": Problem(Workspace.from_polygons(HOLED), POINT * 2, [(0.5, 0.5), (6, 0)], [(3, 3), (7, 1)]),
     "squeeze": Problem(Workspace(((0, 0), (2, 2)), CORNERS, squeeze=True), POINT, [(0.5, 1.5)], [(1.5, 0.5)]),
+    "an obstacle that is gone": Problem(
+        Workspace(((0, 0), (4, 4)), [box(1, 1, 2, 2), box(3, 3, 4, 4)]).with_obstacles(remove=[0]),
+        *(POINT, [(1.5, 1.5)], [(2, 2)]),
+    ),
     "tangle": scenes.tangle(),
     "a mixed team": Problem(
         Workspace(((0, 0), (9, 9)), [box(4, 4, 5, 5)]),
