@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from plr_jax._arrays import run_members
 from plr_jax._types import Sources
@@ -72,6 +71,8 @@ class ConeLeaves:
             The changes, NaN for leaves that do not hold, and the source afterwards that each leaf's own is, -1 for
             none.
         """
+        from scipy.spatial import KDTree  # which no query needs
+
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
         number = np.where(apart <= _FINE * self.domain.width.max(), nearest, len(changed.source))[self.stored.source]
         source, of_source = np.append(changed.source, -1)[number], np.append(changed.source_change, np.nan)[number]
