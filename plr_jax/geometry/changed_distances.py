@@ -19,7 +19,7 @@ Corners = Float[np.ndarray, "4 2"]
 
 @dataclass(frozen=True, eq=False)
 class TriangleSources:
-    """TriangleSources of a triangle and a source that some point of it may see.
+    """Pairs of a triangle and a source that some point of it may see.
 
     Attributes:
         triangle: The triangle.

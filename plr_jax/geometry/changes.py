@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import run_members, runs
 from plr_jax.geometry.boundary import Boundary, places_of
-from plr_jax.geometry.corners import CornerVisibility, find_corners, joined_pairs
+from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, joined_pairs
 from plr_jax.geometry.triangulation import Triangulation, after, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
@@ -65,8 +65,8 @@ class Change:
         """Whether a point is in one of the boxes around changed edges."""
         return any((box[0] <= x).all() and (x <= box[2]).all() for box in self.boxes(margin))
 
-    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Corners of boxes with a margin around the changed edges, one around those that hang together."""
+    @cached_property
+    def _extents(self) -> tuple[Float[np.ndarray, "parts 2"], Float[np.ndarray, "parts 2"]]:
         points, index = np.unique(self.segments.reshape(-1, 2), axis=0, return_inverse=True)
         start, end = index.reshape(-1, 2).T
         graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
@@ -74,10 +74,13 @@ class Change:
         lo, hi = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
         np.minimum.at(lo, part, points)
         np.maximum.at(hi, part, points)
-        return [
-            np.array([(a, c), (b, c), (b, d), (a, d)])
-            for (a, c), (b, d) in zip(lo - margin, hi + margin, strict=True)
-        ]
+        return lo, hi
+
+    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
+        """Corners of boxes with a margin around the changed edges, one around those that hang together."""
+        lo, hi = self._extents
+        ends = zip(lo - margin, hi + margin, strict=True)
+        return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
@@ -164,9 +167,7 @@ def changed_visibility(
     kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
     found, (view, vertex) = visibility_of(workspace.triangulation, _and(views[looks], goal if goal_looks else None))
     table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
-    of_vertex = np.full(len(workspace.boundary.vertices), -1)
-    of_vertex[workspace.boundary.edges[views.edge, 0]] = views.owner
-    seen = of_vertex[vertex]
+    seen = corner_of_vertex(workspace.boundary, views)[vertex]
     if goal_looks:
         new = Looked(
             _spliced([_Views(found, np.array([len(looks)]), np.zeros(1, int))], change), seen[view == len(looks)]
@@ -204,10 +205,8 @@ def _and(views: Viewpoints, other: Viewpoints | None) -> Viewpoints:
 def _same_corners(old: CornerVisibility, views: Viewpoints, change: Change) -> Int[np.ndarray, "corners"]:
     """The old corner that each new one is, between the same walls; -1 for none."""
     boundary = change.new
-    of_vertex = np.full(len(boundary.vertices), -1)
-    old_vertex = change.old.edges[old.views.edge, 0]
-    is_kept = change.vertex[old_vertex] >= 0
-    of_vertex[change.vertex[old_vertex[is_kept]]] = old.views.owner[is_kept]
+    of_vertex, is_kept = np.full(len(boundary.vertices), -1), change.vertex >= 0
+    of_vertex[change.vertex[is_kept]] = old.of_vertex[is_kept]
     before = np.full(len(views.points), -1)
     before[views.owner] = of_vertex[boundary.edges[views.edge, 0]]
     # All sectors that either looks into open and close at edges of both.

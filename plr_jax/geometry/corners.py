@@ -97,7 +97,7 @@ class CornerVisibility:
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, "vertices"]:
         """The corner at each vertex of the boundary, -1 where there is none."""
-        return _corner_of_vertex(self.table.boundary, self.views)
+        return corner_of_vertex(self.table.boundary, self.views)
 
     @property
     def num_bytes(self) -> int:
@@ -115,7 +115,7 @@ def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> Corne
     """
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views, deadline)
-    seen = _corner_of_vertex(workspace.boundary, views)[vertex]
+    seen = corner_of_vertex(workspace.boundary, views)[vertex]
     other = (seen >= 0) & (seen != view)
     return CornerVisibility(corners, views, table, joined_pairs(corners, view[other], seen[other]))
 
@@ -133,7 +133,8 @@ def joined_pairs(
     return np.stack(np.divmod(both, size), axis=1)
 
 
-def _corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
+def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
+    """The corner at each vertex of a boundary, of corners as viewpoints; -1 where there is none."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
