@@ -86,19 +86,20 @@ def _best_places(
 ) -> Points:
     """Configurations, or others beside them, of which estimates are cheapest, where motions through these are."""
     domain, k = costs.space.domain, len(changes)
-    cost = _through(costs, before, x, after)
-    is_known = np.abs(_about(costs, before, x, after) - cost) <= _KNOWN * cost
+    cost, estimate = (costs_through(costs, before, x, after) for costs_through in (_through, _about))
+    is_known = np.abs(estimate - cost) <= _KNOWN * cost
 
-    def cheapest(rows: Int[np.ndarray, "rows"], costs_through: Callable[..., Float[np.ndarray, "n"]]) -> Points:
+    def cheapest(
+        rows: Int[np.ndarray, "rows"], now: Float[np.ndarray, "n"], costs_through: Callable[..., np.ndarray]
+    ) -> Points:
         def prices(some: slice) -> Float[np.ndarray, "some k"]:
             y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))
             price = np.full(len(y), np.nan)
             price[inside] = costs_through(costs, a, y[inside], b)
-            now = costs_through(costs, *(each[rows[some]] for each in (before, x, after)))
             price = price.reshape(-1, k)
-            return np.where(price <= (1 - _GAIN) * now[:, None], price, np.nan)
+            return np.where(price <= (1 - _GAIN) * now[rows[some], None], price, np.nan)
 
         def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
             y = domain.wrapped(x[rows[row]] + changes[way])
@@ -108,9 +109,9 @@ def _best_places(
         return np.where(way[:, None] < 0, x[rows], domain.wrapped(x[rows] + changes[way]))
 
     best = x.copy()
-    for known, costs_through in ((True, _about), (False, _through)):
+    for known, now, costs_through in ((True, estimate, _about), (False, cost, _through)):
         rows = np.flatnonzero(is_known == known)
-        best[rows] = cheapest(rows, costs_through)
+        best[rows] = cheapest(rows, now, costs_through)
     is_cheaper = _through(costs, before, best, after) <= (1 - _GAIN) * cost
     return np.where(is_cheaper[:, None], best, x)
 
