@@ -154,7 +154,7 @@ def sequences(seed: int, smoke: bool) -> dict[str, Any]:
         for _ in range(STEPS):
             present = [i for i, obstacle in enumerate(workspace.obstacles) if not obstacle.is_empty]
             remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
-            add = [_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
+            add = [random_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
             counts["changes"] += 1
             try:
                 new = workspace.with_obstacles(add, remove)
@@ -180,7 +180,8 @@ def sequences(seed: int, smoke: bool) -> dict[str, Any]:
     )
 
 
-def _obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
+def random_obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
+    """A polygon that may overlap or touch others, be a sliver, or leave the bounds, from (0, 0) to (8, 8)."""
     corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
     if kind == "grid":
         corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)

@@ -13,7 +13,7 @@ from plr_jax.plr.certificate.bounds import LeafBounds, prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import check_limits
-from plr_jax.plr.leaves.base import FamilyLeafModel
+from plr_jax.plr.leaves.base import FamilyLeafModel, ProvenLeaves
 from plr_jax.plr.partition.cells import levels_of, tree_of_levels
 
 if TYPE_CHECKING:
@@ -64,8 +64,9 @@ def update(plr: "PLR", oracle: DistanceFn, before: DistanceFn, *, max_bytes: int
     )
     unit = model.least_bytes, model.has_deep_trees, model.bytes_without_budget
     limits = check_limits(domain.dim, *unit, None, None, max(1, most_bytes), None, certificate.proof, frame)
-    tree, bounds = tree_of_levels(contents.levels, domain.dim), _bounds_of(plr, certificate)
-    found = model.updated(domain, tree, contents.stored, bounds, oracle, before, limits)
+    tree = tree_of_levels(contents.levels, domain.dim)
+    leaves = ProvenLeaves(domain, tree, contents.stored, _bounds_of(plr, certificate))
+    found = model.updated(leaves, oracle, before, limits)
     if found is None:
         options = {"max_bytes": max(1, most_bytes), "leaf_bounds": certificate.proof is Proof.LEAVES}
         return construct(oracle, domain, leaf=model, certified=True, **options).with_label(plr.label)

@@ -2,23 +2,11 @@ import numpy as np
 import pytest
 import shapely
 
+from experiments.living import random_obstacle
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.boundary import RingEdges
 
 BOUNDS = ((0, 0), (8, 8))
-
-
-def obstacle(rng, kind):
-    """A polygon that may overlap or touch others, be a sliver, or leave the bounds."""
-    corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
-    if kind == "grid":
-        corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
-    if kind == "thin":
-        size[rng.integers(2)] = 10.0 ** -rng.integers(1, 12)
-    if kind == "polygon":
-        turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
-        return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-    return shapely.box(*corner, *(corner + size))
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -30,7 +18,7 @@ def test_an_oracle_after_changes_is_the_one_made_anew(seed):
     oracle = VisibilityGraph(workspace, goal)
     for _ in range(8):
         present = [i for i, each in enumerate(workspace.obstacles) if not each.is_empty]
-        add = [obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
+        add = [random_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
         remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
         try:
             anew = Workspace(BOUNDS, workspace.with_obstacles(add, remove).obstacles, squeeze=workspace.squeeze)
@@ -104,8 +92,8 @@ def test_changes_that_cannot_be_are_refused(change, message):
 
 def test_an_outline_near_a_known_one_is_found_as_if_nothing_were_known():
     rng = np.random.default_rng(0)
-    workspace = Workspace(BOUNDS, [obstacle(rng, "grid") for _ in range(6)])
-    region = workspace.with_obstacles([obstacle(rng, "box")]).free_space
+    workspace = Workspace(BOUNDS, [random_obstacle(rng, "grid") for _ in range(6)])
+    region = workspace.with_obstacles([random_obstacle(rng, "box")]).free_space
     tolerance = 8 * workspace.tolerance / 1e3
     known, alone = RingEdges.of(region, tolerance, workspace.boundary), RingEdges.of(region, tolerance)
     assert known.is_told_apart and alone.is_told_apart

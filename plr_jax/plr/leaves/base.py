@@ -296,6 +296,22 @@ MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
 """Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
 
 
+class ProvenLeaves(NamedTuple):
+    """Leaves in the order of their tree's traversal, and what is proven of them.
+
+    Attributes:
+        domain: What they fill.
+        tree: Their tree.
+        stored: What a file keeps of them.
+        bounds: Of the distance minus what each holds.
+    """
+
+    domain: Box
+    tree: Tree
+    stored: Any
+    bounds: LeafBounds
+
+
 class UpdatedLeaves(NamedTuple):
     """Leaves after a map has changed, in the order of their tree's traversal.
 
@@ -319,14 +335,7 @@ class FamilyLeafModel(SourcedLeafModel):
 
     @abstractmethod
     def updated(
-        self,
-        domain: Box,
-        tree: Tree,
-        stored: Any,
-        bounds: LeafBounds,
-        oracle: ChangingFn,
-        before: ChangingFn,
-        limits: Limits,
+        self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
     ) -> UpdatedLeaves | None:
         """Leaves of a changed map, within limits: those that hold, and others anew; None if that does not do.
 

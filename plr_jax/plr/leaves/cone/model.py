@@ -11,19 +11,26 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._types import ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
-from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits, grow
-from plr_jax.plr.leaves.base import UNIT, FamilyLeafModel, Functions, Rules, UpdatedLeaves, largest_coordinates
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    FamilyLeafModel,
+    Functions,
+    ProvenLeaves,
+    Rules,
+    UpdatedLeaves,
+    largest_coordinates,
+)
 from plr_jax.plr.leaves.cone.best import best_cones
 from plr_jax.plr.leaves.cone.boxes import root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.updated import updated_cones
-from plr_jax.plr.partition.cells import Cells, Tree
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
@@ -73,17 +80,10 @@ class Cone(FamilyLeafModel):
         return family_task(first, domain, limits, sample_pattern(domain.dim, self.num_samples, 0, seed))
 
     def updated(
-        self,
-        domain: Box,
-        tree: Tree,
-        stored: StoredCones,
-        bounds: LeafBounds,
-        oracle: ChangingFn,
-        before: ChangingFn,
-        limits: Limits,
+        self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
     ) -> UpdatedLeaves | None:
         """Leaves in which all distances have changed by one number stay."""
-        return updated_cones(domain, tree, stored, bounds, oracle, before, limits)
+        return updated_cones(leaves, oracle, before, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""

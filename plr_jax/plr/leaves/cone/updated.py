@@ -6,12 +6,11 @@ import numpy as np
 from jaxtyping import Int
 
 from plr_jax._types import ChangingFn
-from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.leaves.base import UpdatedLeaves
+from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, resolved_error
-from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
+from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.kept import ConeLeaves
 from plr_jax.plr.partition.cells import Cells, Tree, levels_of
 
@@ -23,22 +22,17 @@ _NONE = -2  # source of a node that is not made anew
 
 
 def updated_cones(
-    domain: Box,
-    tree: Tree,
-    stored: StoredCones,
-    bounds: LeafBounds,
-    oracle: ChangingFn,
-    before: ChangingFn,
-    limits: Limits,
+    proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
 ) -> UpdatedLeaves | None:
     """Leaves that stay, and as many anew in the place of the others as limits allow; None if they allow none."""
     changed = oracle.changed_since(before)
-    leaves = ConeLeaves(domain, tree, stored, bounds, changed.slack)
+    leaves = ConeLeaves(*proven, changed.slack)
+    bounds = leaves.bounds
     _require_proof_of(before, leaves)
     change, source = leaves.kept(changed, before.sources, oracle.sources)
-    stays, files = np.flatnonzero(~np.isnan(change)), ConeFiles(oracle.sources, domain)
+    stays, files = np.flatnonzero(~np.isnan(change)), ConeFiles(oracle.sources, leaves.domain)
     fewest = _Anew.of(leaves, np.flatnonzero(np.isnan(change)), oracle)
-    old = tree.leaves[stays]
+    old = leaves.tree.leaves[stays]
 
     def sources_in_order(boxes: ConeBoxes) -> tuple[Cells, Int[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
         cells = old.append(boxes.cells)
