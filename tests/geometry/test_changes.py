@@ -106,3 +106,11 @@ def test_without_a_change_nothing_is_found_anew():
     np.testing.assert_array_equal(same.distances, oracle.distances)
     x = np.random.default_rng(0).uniform(0, 8, (50, 2))
     np.testing.assert_array_equal(same(x), oracle(x))
+
+
+def test_an_oracle_after_a_change_survives_its_file(tmp_path):
+    before = VisibilityGraph(Workspace(BOUNDS, [shapely.box(x, 3, x + 1, 5) for x in (1, 3, 5)]), (0.5, 0.5))
+    after = before.with_workspace(before.workspace.with_obstacles([shapely.box(6, 6, 7, 7)], remove=[1]))
+    after.save(tmp_path / "after.npz")
+    x = np.random.default_rng(0).uniform(0, 8, (200, 2))
+    np.testing.assert_array_equal(VisibilityGraph.load(tmp_path / "after.npz")(x), after(x))
