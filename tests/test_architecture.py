@@ -31,6 +31,7 @@ PLR_LAYERS = [
     ["growth"],
     ["leaves"],
     ["_file"],
+    ["delta"],
     ["portable"],
     ["_plr"],
     ["_assembly", "_location", "_stack"],

@@ -4,15 +4,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
-
-from plr_jax._arrays import padded, padded_size, shortened
+from plr_jax._arrays import shortened
 from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr._plr import PLR, tables_of_contents
+from plr_jax.plr._plr import PLR, assembled
 from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.held import held
-from plr_jax.plr.query.frame import corner_if_far
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -31,7 +27,7 @@ def from_bytes(data: bytes) -> PLR:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
     data = bytes(data)
-    return _assemble(data, decode(data))
+    return assembled(data, decode(data))
 
 
 def deferred_plr(data: bytes) -> PLR:
@@ -43,20 +39,7 @@ def deferred_plr(data: bytes) -> PLR:
 
 def plr_of_leaves(contents: Contents) -> PLR:
     """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
-    return _assemble(encode(contents), contents)
-
-
-def _assemble(data: bytes, contents: Contents) -> PLR:
-    band = None
-    if contents.certificate is not None:
-        bounds = contents.certificate.bounds().astype(np.float32)
-        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
-        band = jnp.asarray(padded(bounds.T, rows).T)
-    plr = PLR(tables_of_contents(contents, np.zeros(contents.domain.dim), len(data)), held(data), band)
-    # What the first query asks for, and would read from the file again.
-    domain = contents.domain if contents.folding is None else contents.folding.domain
-    vars(plr).update(domain=domain, _corner_if_far=corner_if_far(domain))
-    return plr
+    return assembled(encode(contents), contents)
 
 
 def with_stored(plr: PLR, stored: Any) -> PLR:

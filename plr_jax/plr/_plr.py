@@ -6,16 +6,18 @@ from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import no_attribute, padded, shortened
+from plr_jax._arrays import no_attribute, padded, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, counted_from, decode, decode_cells, filled_coefficients, planes_of_leaves
+from plr_jax.plr.delta.file_delta import delta_of_files, patched_file
 from plr_jax.plr.file.container import Container
-from plr_jax.plr.file.held import HeldFile
+from plr_jax.plr.file.held import HeldFile, held
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.portable.evaluator import NumpyPLR
@@ -160,6 +162,32 @@ class PLR(HeldFile):
     def numpy(self) -> NumpyPLR:
         """The same in NumPy alone, by the arithmetic that is part of the file format: quick for a single point."""
         return NumpyPLR(self.to_bytes())
+
+    def delta(self, old: "PLR | NumpyPLR") -> bytes:
+        """What makes this PLR of another one, to be sent to whoever has that: see :meth:`patched`.
+
+        Of cones it tells what has changed: after a change of a map mostly some hundreds of bytes. Of other leaves,
+        and of another domain, it holds the whole file, deflated. The format is documented in
+        ``plr_jax/plr/delta/file_delta.py``.
+
+        Args:
+            old: The PLR that is to be patched.
+
+        Raises:
+            ValueError: If that is no PLR.
+        """
+        if not isinstance(old, PLR | NumpyPLR):
+            raise ValueError(f"A delta is from another PLR, got {shortened(old)}.")
+        return delta_of_files(old.to_bytes(), self.to_bytes())
+
+    def patched(self, delta: bytes) -> "PLR":
+        """The PLR of which :meth:`delta` was taken with this one as the old one: the same, byte for byte.
+
+        Raises:
+            ValueError: If the delta is damaged, or from another PLR.
+        """
+        data = patched_file(self.to_bytes(), delta)
+        return assembled(data, decode(data))
 
     def c_header(self, name: str) -> str:
         """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
@@ -357,3 +385,17 @@ def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Ta
     domain, numbers = counted_from(contents, origin)
     tables = build_tables(domain, contents.cells, numbers, contents.leaf, num_bytes)
     return tables.of_folding(contents.folding, origin)
+
+
+def assembled(data: bytes, contents: Contents) -> PLR:
+    """The PLR of a file's bytes, which hold these contents."""
+    band = None
+    if contents.certificate is not None:
+        bounds = contents.certificate.bounds().astype(np.float32)
+        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
+        band = jnp.asarray(padded(bounds.T, rows).T)
+    plr = PLR(tables_of_contents(contents, np.zeros(contents.domain.dim), len(data)), held(data), band)
+    # What the first query asks for, and would read from the file again.
+    domain = contents.domain if contents.folding is None else contents.folding.domain
+    vars(plr).update(domain=domain, _corner_if_far=corner_if_far(domain))
+    return plr

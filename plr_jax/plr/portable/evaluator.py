@@ -13,6 +13,7 @@ from jaxtyping import Float, Integer, UInt32
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.plr.delta.file_delta import patched_file
 from plr_jax.plr.file.container import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.arithmetic import total
@@ -264,7 +265,8 @@ class NumpyPLR:
                 f"data must be the bytes of a PLR file, got {shortened(data)}; of a file's name use load_numpy, of a "
                 "PLR plr.numpy()."
             )
-        self._program = program = Program.of_file(bytes(data))
+        self._data = bytes(data)
+        self._program = program = Program.of_file(self._data)
         num_leaves = len(program.cells)
         self._table = LeafTable.of(program.coded_tree(np.arange(num_leaves)))
         self._numbers = program.numbers[:, program.dim * program.leaf.is_of_cells :]
@@ -291,6 +293,14 @@ class NumpyPLR:
         """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
         certificate = self._program.contents.certificate
         return None if certificate is None else certificate.max_error
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file."""
+        return self._data
+
+    def patched(self, delta: bytes) -> "NumpyPLR":
+        """The same as :meth:`PLR.patched`: without JAX."""
+        return NumpyPLR(patched_file(self._data, delta))
 
     def c_header(self, name: str) -> str:
         """The same as one header of C99: see :meth:`PLR.c_header`."""

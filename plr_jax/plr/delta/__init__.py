@@ -1,0 +1,1 @@
+"""What has changed from one PLR to another, in few bytes."""
