@@ -189,7 +189,7 @@ class PLR(HeldFile):
         data = patched_file(self.to_bytes(), delta)
         return assembled(data, decode(data))
 
-    def c_header(self, name: str) -> str:
+    def c_header(self, name: str, *, loads_tables: bool = False) -> str:
         """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
 
         It defines ``float NAME_distance(const float x[dim])``, and of cones ``void NAME_waypoint(const float x[dim],
@@ -198,6 +198,9 @@ class PLR(HeldFile):
 
         Args:
             name: With which all that it defines begins, an identifier of C.
+            loads_tables: Whether it holds no tables, but ``int NAME_load(const void *data, uint32_t size)``, which
+                takes those of :meth:`c_tables`: of a map that changes the program needs not be compiled again, as all
+                PLRs of a domain and leaf model have this header.
 
         Returns:
             The text of the header.
@@ -205,7 +208,14 @@ class PLR(HeldFile):
         Raises:
             ValueError: If the name is no identifier.
         """
-        return self.numpy().c_header(name)
+        return self.numpy().c_header(name, loads_tables=loads_tables)
+
+    def c_tables(self) -> bytes:
+        """What a header that ``loads_tables`` loads: those of this PLR, several times as large as the file.
+
+        The format is documented in ``plr_jax/plr/portable/loaded_header.py``.
+        """
+        return self.numpy().c_tables()
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:

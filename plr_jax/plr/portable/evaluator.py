@@ -17,7 +17,8 @@ from plr_jax.plr.delta.file_delta import patched_file
 from plr_jax.plr.file.container import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.arithmetic import total
-from plr_jax.plr.portable.header import PythonWriter, c_header
+from plr_jax.plr.portable.header import CHeader, PythonWriter
+from plr_jax.plr.portable.loaded_header import LoadedHeader, c_tables
 from plr_jax.plr.portable.program import CodedTree, Program
 from plr_jax.plr.query.frame import Outside, as_outside
 from plr_jax.plr.query.grid import FRACTION_BITS, spread_bits
@@ -302,9 +303,13 @@ class NumpyPLR:
         """The same as :meth:`PLR.patched`: without JAX."""
         return NumpyPLR(patched_file(self._data, delta))
 
-    def c_header(self, name: str) -> str:
+    def c_header(self, name: str, *, loads_tables: bool = False) -> str:
         """The same as one header of C99: see :meth:`PLR.c_header`."""
-        return c_header(self._program, name)
+        return (LoadedHeader if loads_tables else CHeader)(self._program, name).text()
+
+    def c_tables(self) -> bytes:
+        """What such a header loads: see :meth:`PLR.c_tables`."""
+        return c_tables(self._program)
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Any:
         """Distance at each point.

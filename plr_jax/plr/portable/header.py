@@ -239,35 +239,32 @@ _WHY = {
 }
 
 
-def c_header(program: Program, name: str) -> str:
-    """The header of a PLR.
-
-    Args:
-        program: What a query of it computes.
-        name: With which all that it defines begins, an identifier of C.
-
-    Returns:
-        The text of the header.
-
-    Raises:
-        ValueError: If the name is no identifier.
-    """
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
-    header = _Header(program, name)
-    return "\n".join([*header.introduction(), *header.tables(), *header.functions(), *header.end()])
-
-
-class _Header:
-    """The parts of a header."""
+class CHeader:
+    """The parts of a header of a PLR; ``ValueError`` if its name is no identifier of C."""
 
     def __init__(self, program: Program, name: str):
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
         self.program, self.name = program, name
         self.rows, row_of_leaf = program.rows
         self.tree = program.coded_tree(row_of_leaf)
         self.type = "float" if program.corner is None else "double"
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
         self.helpers: set[str] = set()
+
+    def text(self) -> str:
+        """The header."""
+        return "\n".join([*self.introduction(), *self.tables(), *self.functions(), *self.end()])
+
+    @property
+    def has_tree(self) -> bool:
+        """Whether there is more than one leaf."""
+        return len(self.tree.children) > 0
+
+    @property
+    def root(self) -> str:
+        """The code of the tree's root."""
+        return f"{self.tree.root}u"
 
     @property
     def code_type(self) -> str:
@@ -291,13 +288,13 @@ class _Header:
         return [
             f"#ifndef {guard}",
             f"#define {guard}",
-            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
+            f"/* The distance to a goal, by plr_jax: {self.leaves()} of kind {program.leaf.name!r}.",
             "",
             f"   {name}_distance: distance from a point {' x '.join(ends)};",
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
             *(waypoint.splitlines() if self.is_sourced else []),
             f"   Coordinates are {self.type}: {_WHY[self.type]}.",
-            f"   Compiled, its tables take {self.table_bytes:,} bytes, beside a few hundred of code.",
+            *self.about_tables(),
             "",
             "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
             "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
@@ -314,6 +311,14 @@ class _Header:
             "#endif",
             "",
         ]
+
+    def leaves(self) -> str:
+        """Which leaves it has."""
+        return f"{len(self.program.cells)} leaves"
+
+    def about_tables(self) -> list[str]:
+        """What is said of the tables."""
+        return [f"   Compiled, its tables take {self.table_bytes:,} bytes, beside a few hundred of code."]
 
     def tables(self) -> list[str]:
         """The tree, and the numbers of the leaves."""
@@ -350,7 +355,7 @@ class _Header:
     def _descent(self) -> list[str]:
         """From places to the leaf's row."""
         tree, name, dim = self.tree, self.name, self.program.dim
-        if not len(tree.children):
+        if not self.has_tree:
             return []
         of_cells = self.program.leaf.is_of_cells
         mask = (1 << tree.kind_bits) - 1
@@ -358,7 +363,7 @@ class _Header:
             "/* Down the tree: each split takes the next bit of the place along its axis. */",
             f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
             "{",
-            f"    uint32_t code = {tree.root}u;",
+            f"    uint32_t code = {self.root};",
             f"    while ((code & {mask}u) != {dim}u) {{",
             f"        const uint32_t axis = code & {mask}u;",
             "        const uint32_t upper = place[axis] >> 31;",
@@ -379,7 +384,7 @@ class _Header:
         x, above, numbers = self._found(do, given)
         cells: list[tuple[Text, Text]] = []
         if program.leaf.is_of_cells:
-            is_split = len(self.tree.children) > 0
+            is_split = self.has_tree
             for axis in range(program.dim):
                 count, position = (f"(float)cell[{axis}][{i}]" if is_split else f"{1 - i}.0f" for i in range(2))
                 cells.append((do.atom(count), do.atom(position)))
@@ -410,7 +415,7 @@ class _Header:
         x = program.counted(do, given if program.corner is None else program.wrapped_wide(do, given))
         x = program.placed(do, x)
         above, row = program.above(do, x), "0"
-        if len(self.tree.children):
+        if self.has_tree:
             places = ", ".join(map(str, program.places(do, above)))
             do.statements.append(f"uint32_t place[{dim}] = {{{places}}};")
             if program.leaf.is_of_cells:  # how many cells there are, and which it is
