@@ -22,7 +22,7 @@ from jaxtyping import Float
 from experiments._measures import timed
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
-from plr_jax import PLR, VisibilityGraph, Workspace, construct, update
+from plr_jax import PLR, VisibilityGraph, Workspace, construct
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
 CHANGES, EVERY, POINTS = 100, 10, 1_000_000
@@ -52,9 +52,7 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
         seconds["workspace"].append(took)
         took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
         seconds["oracle"].append(took)
-        took, plr = timed(
-            lambda plr=plr, oracle=oracle, before=before: update(plr, oracle, before, max_bytes=num_bytes)
-        )
+        took, plr = timed(lambda plr=plr, oracle=oracle: plr.updated(oracle))
         seconds["cones"].append(took)
         made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
         largest = max(largest, plr.num_bytes)

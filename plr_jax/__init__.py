@@ -30,7 +30,7 @@ plr_jax.save(field, "field.plr")
 field = plr_jax.load("field.plr")
 ```
 
-- A `PLR` of one goal: `construct`, with many goals `construct_many`; of a map that has changed: `update`; proofs:
+- A `PLR` of one goal: `construct`, with many goals `construct_many`; of a changed map: `plr.updated`; proofs:
   `certify`; other losses: `refine`, which tells a `Refinement`. Smaller: `coarsen`; files that begin with coarser
   ones: `progressive`.
 - Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`,

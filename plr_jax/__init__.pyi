@@ -79,7 +79,6 @@ from .plr import progressive as progressive
 from .plr import refine as refine
 from .plr import stack as stack
 from .plr import trace as trace
-from .plr import update as update
 from .remote import open_url as open_url
 from .robots.robot import Robot as Robot
 from .robots.shapes import DiscRobot as DiscRobot

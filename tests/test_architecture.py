@@ -31,6 +31,8 @@ PLR_LAYERS = [
     ["growth"],
     ["leaves"],
     ["_file"],
+    ["_proof"],
+    ["_update"],
     ["delta"],
     ["portable"],
     ["_plr"],
@@ -38,7 +40,7 @@ PLR_LAYERS = [
     ["_certify"],
     ["_best", "_checkpoint", "_trace", "refinement"],
     ["_construct"],
-    ["_construct_many", "_coarsen", "_update"],
+    ["_construct_many", "_coarsen"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

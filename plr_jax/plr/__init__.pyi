@@ -11,7 +11,6 @@ from ._stack import stack as stack
 from ._trace import Traces as Traces
 from ._trace import TraceStatus as TraceStatus
 from ._trace import trace as trace
-from ._update import update as update
 from .growth.best_first import best_axis as best_axis
 from .growth.best_first import center_error as center_error
 from .growth.best_first import cyclic_axis as cyclic_axis

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, require_integer, shortened
 from plr_jax.plr._assembly import plr_of_leaves, with_certificate
-from plr_jax.plr._certify import certificate_of_bounds
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR
+from plr_jax.plr._proof import certificate_of_bounds
 from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.file.container import layered

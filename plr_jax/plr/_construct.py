@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
-from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn, FreeSpaceFn
+from plr_jax._types import ArrayLike, CellwiseFn, ChangingFn, DistanceFn, FreeSpaceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._best import BEST, best_leaves
-from plr_jax.plr._certify import certificate_of, require_certifiable
+from plr_jax.plr._certify import require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
+from plr_jax.plr._proof import certificate_of
+from plr_jax.plr._update import Origin
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.folding.choice import folding_of
@@ -48,7 +50,12 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
     def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> "PLR":
         from plr_jax.plr._assembly import plr_of_leaves
 
-        return plr_of_leaves(leaves_of(*args, **kwargs))
+        given = signature(leaves_of).bind(*args, **kwargs).arguments
+        plr = plr_of_leaves(leaves_of(*args, **kwargs))
+        if isinstance(given["distance_fn"], ChangingFn):
+            max_bytes = given.get("max_bytes")
+            vars(plr)["_origin"] = Origin(given["distance_fn"], None if max_bytes is None else int(max_bytes))
+        return plr
 
     vars(construct)["__signature__"] = signature(leaves_of).replace(return_annotation="PLR")
     return construct

@@ -17,11 +17,11 @@ from plr_jax._cores import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import deferred_plr
-from plr_jax.plr._certify import certificate_of
 from plr_jax.plr._checkpoint import KEY_SIZE, Checkpoint, digest_of
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr._plr import PLR
+from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits

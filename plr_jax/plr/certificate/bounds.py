@@ -126,10 +126,11 @@ class LeafBounds:
         return float(max(self.upper.max(initial=0.0), -self.lower.min(initial=0.0)))
 
 
-def prove_bounds(functions: LeafFunctions, visible: CellSources) -> LeafBounds:
+def prove_bounds(functions: LeafFunctions, visible: CellSources, largest_of_others: float = 0.0) -> LeafBounds:
     """Bounds for leaves, whose sources are given as cells.
 
-    In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
+    Those need be no better than a small part of the largest error of all leaves, which others may have. In double
+    precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -143,7 +144,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources) -> LeafBounds:
             visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
         )
         # Bounds that need not be better, given errors that are met.
-        largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+        largest = max(largest_of_others, most.max(initial=0.0), -least.min(initial=0.0))
         spare = (
             np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
             + visible.slack

@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.certificate.classes import in_classes, read_classes, write_classes
+from plr_jax.plr.certificate.classes import in_classes, in_these_classes, read_classes, write_classes
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.frame import LARGEST
 
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
+_A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)
 _MAX_ERROR_BITS = 32
 _BYTES_A_BIT, _LEAST_BITS = 16, 80  # of leaves, for each bit of classes: a 128th; with fewer bits there are none
 
@@ -66,10 +67,12 @@ class Certificate:
         proof: Proof,
         volume: Float[np.ndarray, "leaves"] | float = 1.0,
         num_bytes: int = 0,
+        before: "Certificate | None" = None,
     ) -> "Certificate":
         """The certificate of bounds, and of what queries round; upper ones may be ``inf`` for open leaves.
 
-        Classes are chosen for a small mean width over leaves of such volumes, which take so many bytes.
+        Classes are those of a certificate before, if these will do; else they are chosen for a small mean width over
+        leaves of such volumes, which take so many bytes.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -80,9 +83,14 @@ class Certificate:
         codes = np.stack([_codes(lower, scale), _codes(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
             room, factor = _room_for_classes(num_bytes), _of_codes(np.arange(_MOST + 1), 1.0)
-            codes = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
-            if (codes == codes[:, :1]).all():
-                codes = None
+            found = None
+            if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
+                of_scale = np.stack([_codes(lower, before.scale), _codes(upper, before.scale)])
+                found = in_these_classes(of_scale, np.unique(before.codes, axis=1), factor, room)
+                scale = scale if found is None else before.scale
+            if found is None:
+                found = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
+            codes = None if (found == found[:, :1]).all() else found
         return Certificate(scale, codes, proof)
 
     @property

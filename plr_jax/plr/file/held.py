@@ -66,7 +66,9 @@ class HeldFile:
         if label == self.label:
             return self
         data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
-        return replace(cast(Any, self), file=held(data))
+        labeled = replace(cast(Any, self), file=held(data))
+        vars(labeled).update({name: each for name, each in vars(self).items() if name == "_origin"})
+        return labeled
 
     @property
     def resident_bytes(self) -> int:

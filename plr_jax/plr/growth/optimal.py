@@ -91,7 +91,7 @@ class Forest:
         return sum(map(len, self.trees))
 
 
-class _Own(NamedTuple):
+class OwnBoxes(NamedTuple):
     """The boxes of one level that a member looked at, and where their halves stand among its own of the next."""
 
     box: Int[np.ndarray, "own"]
@@ -124,7 +124,7 @@ class PriceSearch:
         self._num_sources, self._thrift = num_sources, thrift
         self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._own: list[list[_Own]] = [[]] * len(roots)
+        self._own: list[list[OwnBoxes]] = [[]] * len(roots)
 
     def first(self) -> Forest:
         """The smallest trees.
@@ -227,7 +227,7 @@ class PriceSearch:
             rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
             is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
             child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
-            own.append(_Own(here, child))
+            own.append(OwnBoxes(here, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
                 known = child >= 0
@@ -242,20 +242,10 @@ class PriceSearch:
 
     def _tree_alone(self, member: int, price: float, least_share: float) -> PricedTree:
         """The member's tree for which costs of leaves and their prices together are least."""
-        own, choices, below = self._own[member], [], np.zeros(0)
-        for level, (box, child) in zip(reversed(self.levels[: len(own)]), reversed(own), strict=True):
-            cost = level.boxes.integral[box] + least_share * level.boxes.error[box]
-            total, choice = cost + price, np.full(len(box), -1)
-            for axis, (lower, upper) in enumerate(child):
-                halved = np.flatnonzero(lower >= 0)
-                both = below[lower[halved]] + below[upper[halved]]
-                cheaper = both < total[halved]
-                halved = halved[cheaper]
-                total[halved], choice[halved] = both[cheaper], axis
-            below = total
-            choices.append(choice)
+        own = self._own[member]
+        axes = best_axes(self.levels, own, price, least_share)
         leaves, splits, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
-        for depth, ((box, child), choice) in enumerate(zip(own, reversed(choices), strict=True)):
+        for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
             if not len(here):
                 break
             axis = choice[here]
@@ -266,3 +256,21 @@ class PriceSearch:
             here = child[axis[is_inner], :, here[is_inner]].ravel()
             path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
         return PricedTree(leaves, splits, np.argsort(np.concatenate(paths)), price)
+
+
+def best_axes(
+    levels: list[BoxLevel], own: list[OwnBoxes], price: float, least_share: float
+) -> list[Int[np.ndarray, "own"]]:
+    """Along which axis each box is halved, -1 for none, so that costs of leaves and their prices are least."""
+    choices, below = [], np.zeros(0)
+    for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
+        total, choice = level.costs(least_share)[box] + price, np.full(len(box), -1)
+        for axis, (lower, upper) in enumerate(child):
+            halved = np.flatnonzero(lower >= 0)
+            both = below[lower[halved]] + below[upper[halved]]
+            cheaper = both < total[halved]
+            halved = halved[cheaper]
+            total[halved], choice[halved] = both[cheaper], axis
+        below = total
+        choices.append(choice)
+    return choices[::-1]

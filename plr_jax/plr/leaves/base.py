@@ -320,40 +320,44 @@ class ProvenLeaves(NamedTuple):
         tree: Their tree.
         stored: What a file keeps of them.
         bounds: Of the distance minus what each holds.
+        priced: What their model knows of the nodes of their tree, from a change before; None: nothing yet.
     """
 
     domain: Box
     tree: Tree
     stored: Any
     bounds: LeafBounds
+    priced: Any = None
 
 
 class UpdatedLeaves(NamedTuple):
     """Leaves after a map has changed, in the order of their tree's traversal.
 
     Attributes:
+        levels: Levels of the tree.
         cells: The leaves.
         stored: What a file keeps of them.
         bounds: Of the distance minus what those hold that stay.
         anew: The others.
         visible: The sources of these as cells.
+        priced: What their model knows of the nodes of their tree.
     """
 
+    levels: list[Level]
     cells: Cells
     stored: Any
     bounds: LeafBounds
     anew: Int[np.ndarray, "anew"]
     visible: CellSources
+    priced: Any
 
 
 class FamilyLeafModel(SourcedLeafModel):
     """A leaf model of cells that an oracle answers for: of a family of functions at once, and after a change."""
 
     @abstractmethod
-    def updated(
-        self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
-    ) -> UpdatedLeaves | None:
-        """Leaves of a changed map, within limits: those that hold, and others anew; None if that does not do.
+    def updated(self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
+        """Leaves of a changed map, within limits: those that hold, and others anew.
 
         Raises ``ValueError`` if the oracle before is found to be another one than that of the bounds.
         """

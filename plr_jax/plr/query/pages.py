@@ -188,24 +188,39 @@ def _place_pages(
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
     """First slot of every block's page, from a given one on, and where the last page ends; 0 of a block without one.
 
-    The largest come first. Each takes the smallest room that holds it, else a new one of the finest grid, and halves
-    it, along one axis after another, into every other slot, until the room has the page's shape.
+    The largest come first, those of one shape together. They take the smallest room that holds one, else a new one of
+    the finest grid: all of it, if there are as many; else it is halved for one, along one axis after another, into
+    every other slot, until the room has the page's shape.
     """
     finest, below = tuple(page_bits.tolist()), _bits_below(page_bits)
     rooms: dict[tuple[int, ...], list[int]] = {}
     start, end = np.zeros(len(shape), np.int64), first
-    for block in np.argsort(-shape.sum(axis=1), kind="stable")[: np.count_nonzero(shape.any(axis=1))]:
-        page = tuple(shape[block].tolist())
-        room = _smallest_that_holds(rooms, page)
-        if room is None:
-            room, place, end = finest, end, end + (1 << sum(finest))
-        else:
+    order = np.flatnonzero(shape.any(axis=1))
+    order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
+    for blocks in np.split(order, 1 + np.flatnonzero((shape[order[1:]] != shape[order[:-1]]).any(axis=1))):
+        page = tuple(shape[blocks[0]].tolist()) if len(blocks) else ()
+        while len(blocks):
+            room = _smallest_that_holds(rooms, page)
+            if room is None:
+                room, end = finest, end + (1 << sum(finest))
+                rooms.setdefault(room, []).append(end - (1 << sum(finest)))
+            # Beside the first page, the others of a room begin as often along each axis as that is wider.
+            beside = np.zeros(1, np.int64)
+            for axis, wanted in enumerate(page):
+                step = 1 << int(below[axis] + page_bits[axis] - room[axis])
+                beside = (beside + (step * np.arange(1 << (room[axis] - wanted)))[:, None]).ravel()
+            if len(blocks) >= len(beside):
+                count = min(len(blocks) // len(beside), len(rooms[room]))
+                places, rooms[room] = np.array(rooms[room][:count]), rooms[room][count:]
+                placed, blocks = np.split(blocks, [count * len(beside)])
+                start[placed] = (places[:, None] + beside).ravel()
+                continue
             place = rooms[room].pop()
-        for axis, wanted in enumerate(page):
-            for bits in range(room[axis], wanted, -1):
-                room = (*room[:axis], bits - 1, *room[axis + 1 :])
-                rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
-        start[block] = place
+            for axis, wanted in enumerate(page):
+                for bits in range(room[axis], wanted, -1):
+                    room = (*room[:axis], bits - 1, *room[axis + 1 :])
+                    rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
+            start[blocks[0]], blocks = place, blocks[1:]
     return start, end
 
 

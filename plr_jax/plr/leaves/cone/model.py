@@ -81,9 +81,7 @@ class Cone(FamilyLeafModel):
         """What finds the best partitions for many goals at once; samples only choose sources in sight."""
         return family_task(first, domain, limits, sample_pattern(domain.dim, self.num_samples, 0, seed))
 
-    def updated(
-        self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
-    ) -> UpdatedLeaves | None:
+    def updated(self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
         """Leaves in which all distances have changed by one number stay."""
         return updated_cones(leaves, oracle, before, limits)
 

@@ -1,70 +1,114 @@
-"""Cones after a map has changed: leaves stay where they hold, and are made anew elsewhere."""
+"""Cones after a map has changed: leaves stay where they hold, and elsewhere the best ones are found anew.
+
+A tree that is the best one at a price a leaf is so in each of its parts. So where distances have changed by one
+number, the best leaves are those that there were, as long as the price is the same; elsewhere they are sought as in a
+construction. The price rises, and leaves that hold are put together, as far as a file has no room for all; where it
+has room left, the price falls, and those are sought anew that err most.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
-from plr_jax._types import ChangingFn
+from plr_jax._types import CellSources, ChangingFn
+from plr_jax.geometry.changed_distances import ChangedDistances
 from plr_jax.plr.certificate.bounds import LeafBounds
+from plr_jax.plr.growth.levels import LEAST_SHARE_PROVEN, BoxLevel, expand
 from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.optimal import OwnBoxes, best_axes
 from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, resolved_error
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.kept import ConeLeaves
-from plr_jax.plr.partition.cells import Cells, Tree, levels_of
+from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree, grown_domain
 
-_MOST_ROUNDS, _WORTH = 24, 0.1  # of halving, and of the largest error, which boxes have that are halved in one
-_BYTES_A_LEAF = 0.8
-_LEFT = 0.02  # of the leaves, for which there may be room left
 _ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest distance, by which those may be off
-_NONE = -2  # source of a node that is not made anew
+_MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
+_FULL, _AIM, _LEFT = 0.99, 0.995, 0.97  # of the bytes: enough; sought; and so few that more leaves are sought
+_ATTEMPTS = 8  # to find a price
+_RATE = 2.0  # a price falls about as the bytes to this power
+_FAR = 0.5  # of the limits: so few that leaves are sought more than once
+_LEAST = 0.05  # of the limits, to which smaller trees are taken to fill them
+_RISE = 64.0  # times the price, where no tree is within the limits
+_FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
 
 
-def updated_cones(
-    proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits
-) -> UpdatedLeaves | None:
-    """Leaves that stay, and as many anew in the place of the others as limits allow; None if they allow none."""
+@dataclass(frozen=True, eq=False)
+class PricedNodes:
+    """Nodes of a tree of cones as leaves of their own: what they would add to its error.
+
+    Attributes:
+        integral: Proven bound of the integral of each one's error, as a share of the domain's area; ``inf`` where it
+            is not known.
+        error: Proven bound of each one's largest error.
+        source: Its best source, -1 where nothing reaches the goal.
+        price: Of a leaf, at which the tree is the best one.
+    """
+
+    integral: Float[np.ndarray, "nodes"]
+    error: Float[np.ndarray, "nodes"]
+    source: Int[np.ndarray, "nodes"]
+    price: float
+
+
+def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn) -> PricedNodes:
+    """Those of the tree of an oracle, and a price with which few of its leaves should be put together."""
+    tree, domain = leaves.tree, leaves.domain
+    negligible = resolved_error(oracle.sources.distances)
+    (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
+    visible, nodes = oracle.cell_sources(grown_domain(domain)), np.zeros(1, np.int64)
+    while len(nodes):
+        boxes = fitted_boxes(domain, negligible, tree.cells[nodes], visible)
+        integral[nodes], error[nodes], source[nodes] = boxes.integral, boxes.error, boxes.source
+        inner = np.flatnonzero(tree.child[nodes] >= 0)
+        axis = np.repeat(tree.axis[nodes[inner]], 2)
+        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
+        lo, hi = tree.cells[nodes].grown_boxes(domain)
+        visible = visible.parts(np.repeat(inner, 2), axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
+    costs = integral + _share(tree) * error
+    total, count = costs.copy(), np.ones(len(costs))
+    for split in tree.splits[::-1]:
+        total[split], count[split] = (
+            each[tree.child[split]] + each[tree.child[split] + 1] for each in (total, count)
+        )
+    inner = np.flatnonzero(count > 1)
+    worth = (costs - total)[inner] / (count - 1)[inner]
+    worth = worth[worth > 0]
+    price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), np.finfo(float).tiny)
+    return PricedNodes(integral, error, source, price)
+
+
+def _share(tree: Tree) -> float:
+    """How much the largest error of a leaf counts besides its integral."""
+    return LEAST_SHARE_PROVEN / len(tree.node_of_leaf)
+
+
+def updated_cones(proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
+    """Leaves that stay, and the best ones anew in the place of the others, within limits."""
     changed = oracle.changed_since(before)
-    leaves = ConeLeaves(*proven, changed.slack)
-    bounds = leaves.bounds
+    leaves = ConeLeaves(proven.domain, proven.tree, proven.stored, proven.bounds, changed.slack)
     _require_proof_of(before, leaves)
+    priced = proven.priced or priced_nodes(leaves, before)
     change, source = leaves.kept(changed, before.sources, oracle.sources)
-    stays, files = np.flatnonzero(~np.isnan(change)), ConeFiles(oracle.sources, leaves.domain)
-    fewest = _Anew.of(leaves, np.flatnonzero(np.isnan(change)), oracle)
-    old = leaves.tree.leaves[stays]
-
-    def sources_in_order(boxes: ConeBoxes) -> tuple[Cells, Int[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        cells = old.append(boxes.cells)
-        order = levels_of(cells)[1]
-        return cells[order], order, np.append(source[stays], boxes.source)[order]
-
-    def too_many(boxes: ConeBoxes) -> int:
-        """By how many leaves a file with these boxes is too large."""
-        num_bytes = files.num_bytes(sources_in_order(boxes)[2], limits)
-        return int(np.ceil((num_bytes - limits.max_bytes) / _BYTES_A_LEAF))
-
-    while (excess := too_many(fewest.boxes)) > 0:
-        if (coarser := fewest.coarser(excess)) is None:
-            return None
-        fewest = coarser
-    boxes = fewest.boxes
-    while -excess > _LEFT * len(change):  # as long as there is room for a few more
-        most = len(boxes.cells) - excess
-        while (more := too_many(larger := _halved(boxes, most, limits.max_axis_depth))) > 0:
-            most = len(larger.cells) - more
-        if len(larger.cells) == len(boxes.cells):
-            break
-        boxes, excess = larger, more
-    cells, order, source = sources_in_order(boxes)
-    place, new = np.argsort(order), files.stored(source)
-    of_stays, of_boxes = np.split(place, [len(stays)])
+    search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
+    best, price = _best_within(search, priced.price), priced.price
+    if best is None:  # what stays is too much, and too little of it can be put together
+        search = ConeSearch.of(leaves, priced, changed, np.full_like(change, np.nan), source, oracle, limits)
+    while best is None:
+        best, price = _best_within(search, price), _RISE * price
+    cells, new = search.cells(best.leaves), search.files.stored(search.source(best.leaves))
+    old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
+    stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
+    old = old[stays]
     # A cone has moved with its offset, and a little where its source is rounded another way.
-    rises = change[stays] - (new.sources.offsets[new.source[of_stays]] - leaves.offset[stays])
-    beside = np.linalg.norm(new.sources.points[new.source[of_stays]] - leaves.apex[stays], axis=1)
+    rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
+    beside = np.linalg.norm(new.sources.points[new.source[stays]] - leaves.apex[old], axis=1)
     lower, upper = np.zeros(len(cells)), np.zeros(len(cells))
-    lower[of_stays], upper[of_stays] = bounds.lower[stays] + rises - beside, bounds.upper[stays] + rises + beside
-    return UpdatedLeaves(cells, new, LeafBounds(lower, upper), of_boxes, boxes.visible)
+    lower[stays] = leaves.bounds.lower[old] + rises - beside
+    upper[stays] = leaves.bounds.upper[old] + rises + beside
+    visible = search.visible(best.leaves[anew])
+    return UpdatedLeaves(best.levels, cells, new, LeafBounds(lower, upper), anew, visible, search.priced(best))
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
@@ -83,83 +127,213 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Anew:
-    """Nodes of a tree, in the order of its traversal, with the best cone for each.
+class FoundTree:
+    """The best tree at a price.
 
     Attributes:
-        tree: The tree.
-        node: The nodes.
-        boxes: Their boxes.
+        price: The price.
+        levels: As a file stores them.
+        nodes: Which nodes of the tree before, and boxes behind these, its nodes are, level by level.
+        leaves: Which its leaves are, as they are traversed.
+        num_bytes: Of its file.
+        share: How much it takes of what the limits allow.
     """
 
-    tree: Tree
-    node: Int[np.ndarray, "boxes"]
-    boxes: ConeBoxes
+    price: float
+    levels: list[Level]
+    nodes: Int[np.ndarray, "nodes"]
+    leaves: Int[np.ndarray, "leaves"]
+    num_bytes: int
+    share: float
 
-    @classmethod
-    def of(cls, leaves: ConeLeaves, leaf: Int[np.ndarray, "some"], oracle: ChangingFn) -> "_Anew":
-        """Some leaves, or nodes of which all leaves have come to use one source."""
-        tree, domain, cells = leaves.tree, leaves.domain, leaves.tree.leaves[leaf]
-        visible = oracle.sources_of_boxes(*cells.grown_boxes(domain))
-        boxes = fitted_boxes(domain, resolved_error(oracle.sources.distances), cells, visible)
-        source, root = np.full(len(tree.child), _NONE), np.arange(len(tree.child))
-        source[tree.node_of_leaf[leaf]] = boxes.source
+
+@dataclass(frozen=True, eq=False)
+class ConeSearch:
+    """The search of the best leaves of a changed map.
+
+    Attributes:
+        leaves: The leaves that there were.
+        nodes: The nodes of their tree, whose costs are ``inf`` where distances have not changed by one number.
+        is_sought: Which of the leaves are sought anew.
+        roots: The nodes of their tree in whose place boxes are sought.
+        levels: Those boxes, the first as the roots are.
+    """
+
+    leaves: ConeLeaves
+    nodes: PricedNodes
+    oracle: ChangingFn
+    limits: Limits
+    files: ConeFiles
+    is_sought: Bool[np.ndarray, "leaves"]
+    roots: list[Int[np.ndarray, "_"]]
+    levels: list[BoxLevel]
+
+    @staticmethod
+    def of(
+        leaves: ConeLeaves,
+        priced: PricedNodes,
+        changed: ChangedDistances,
+        change: Float[np.ndarray, "leaves"],
+        source: Int[np.ndarray, "leaves"],
+        oracle: ChangingFn,
+        limits: Limits,
+    ) -> "ConeSearch":
+        """That of leaves in which distances have changed by some numbers, NaN for those that do not hold."""
+        tree = leaves.tree
+        least, most = np.empty((2, len(tree.child)))
+        least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
+        is_whole = np.isnan(least)
         for split in tree.splits[::-1]:
-            a, b = (source[tree.child[split] + half] for half in (0, 1))
-            # Where nothing is free any source will do.
-            alike = (a > _NONE) & (b > _NONE) & ((a == b) | (a < 0) | (b < 0))
-            source[split[alike]] = np.maximum(a, b)[alike]
+            first, second = tree.child[split], tree.child[split] + 1
+            least[split], most[split] = np.minimum(least[first], least[second]), np.maximum(most[first], most[second])
+            is_whole[split] = is_whole[first] & is_whole[second]
+        now = np.where(priced.source < 0, -1, changed.source[priced.source])
+        is_known = (most - least <= changed.rounding) & ((now >= 0) | (priced.source < 0))
+        now[tree.node_of_leaf] = source
+        integral, error = (np.where(is_known, each, np.inf) for each in (priced.integral, priced.error))
+        # The largest nodes of which no leaf holds.
+        is_root = is_whole.copy()
         for split in tree.splits:
-            whole = split[source[split] > _NONE]
-            for half in (0, 1):
-                root[tree.child[whole] + half] = root[whole]
-        node, first, cell = np.unique(root[tree.node_of_leaf[leaf]], return_index=True, return_inverse=True)
-        order = np.argsort(first)
-        node, cell = node[order], np.argsort(order)[cell]
-        error = np.zeros(len(node))
-        np.maximum.at(error, cell, boxes.error)
-        visible = visible.put_together(cell, len(node))
-        integral = np.bincount(cell, boxes.integral, len(node))
-        cells = tree.cells[node]
-        return cls(tree, node, ConeBoxes(domain, boxes.negligible, cells, visible, source[node], error, integral))
+            whole = split[is_whole[split]]
+            is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
+        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price)
+        files = ConeFiles(oracle.sources, leaves.domain)
+        search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
+        boxes = search.boxes(roots)
+        search.levels.append(BoxLevel.of(boxes, boxes.cells.hashes()))
+        return search
 
-    def coarser(self, count: int) -> "_Anew | None":
-        """With parents in the place of up to so many pairs, those that err least more; None if there are no pairs."""
-        tree, boxes = self.tree, self.boxes
-        parent = np.full(len(tree.child), -1)
-        split = np.flatnonzero(tree.child >= 0)
-        parent[tree.child[split]] = parent[tree.child[split] + 1] = split
-        parent = parent[self.node]
-        pair = np.flatnonzero((parent[1:] == parent[:-1]) & (parent[1:] >= 0))
-        if not len(pair):
-            return None
-        halves = boxes.visible.of_cells(np.stack([pair, pair + 1], axis=1).ravel())
-        visible = halves.put_together(np.repeat(np.arange(len(pair)), 2), len(pair))
-        parents = fitted_boxes(boxes.domain, boxes.negligible, tree.cells[parent[pair]], visible)
-        best = np.argsort(parents.integral - boxes.integral[pair] - boxes.integral[pair + 1], kind="stable")[:count]
-        rest = np.setdiff1d(np.arange(len(self.node)), np.append(pair[best], pair[best] + 1))
-        order = np.argsort(np.append(rest, pair[best]))  # as they are traversed
-        node = np.append(self.node[rest], parent[pair[best]])[order]
-        return _Anew(tree, node, boxes[rest].append(parents[best])[order])
+    @property
+    def share(self) -> float:
+        """How much largest errors count."""
+        return _share(self.leaves.tree)
+
+    @property
+    def num_boxes(self) -> int:
+        """How many boxes were looked at."""
+        return sum(len(level.key) for level in self.levels)
+
+    def cells(self, node: Int[np.ndarray, "some"]) -> Cells:
+        """Cells of nodes and boxes."""
+        return self.leaves.tree.cells.append(*(level.boxes.cells for level in self.levels))[node]
+
+    def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+        """Sources of nodes and boxes."""
+        return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
+
+    def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
+        """Nodes of the tree as boxes."""
+        domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
+        if np.array_equal(node, [0]):
+            visible = self.oracle.cell_sources(grown_domain(domain))
+        else:
+            visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
+        return fitted_boxes(domain, resolved_error(self.oracle.sources.distances), cells, visible)
+
+    def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
+        """The sources of nodes and boxes as cells."""
+        first, parts = len(self.leaves.tree.child), [self.boxes(node[node < len(self.leaves.tree.child)]).visible]
+        places = [np.flatnonzero(node < first)]
+        for level in self.levels:
+            place = np.flatnonzero((node >= first) & (node < first + len(level.key)))
+            parts.append(level.boxes.visible.of_cells(node[place] - first))
+            places.append(place)
+            first += len(level.key)
+        return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
+
+    def look(self, price: float) -> None:
+        """Look at boxes that may be leaves at a price."""
+        each = np.full(len(self.levels[0].key), price)
+        expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
+
+    def seek(self, count: int, price: float) -> None:
+        """Seek so many more leaves anew, those that err most, if by more than the price."""
+        tree = self.leaves.tree
+        integral, error = self.nodes.integral, self.nodes.error
+        cost = (integral + self.share * error)[tree.node_of_leaf]
+        cost[self.is_sought | np.isinf(cost)] = 0.0
+        leaf = np.argsort(-cost, kind="stable")[:count]
+        leaf = np.sort(leaf[cost[leaf] > price])
+        self.is_sought[leaf] = True
+        self.roots.append(node := tree.node_of_leaf[leaf])
+        boxes = self.boxes(node)
+        self.levels[0].append(boxes, boxes.cells.hashes())
+        integral[node] = np.inf
+        for split in tree.splits[::-1]:
+            sought = np.isinf(integral[tree.child[split]]) | np.isinf(integral[tree.child[split] + 1])
+            integral[split[sought]] = np.inf
+
+    def best(self, price: float) -> FoundTree:
+        """The best tree of what was looked at."""
+        tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
+        cost = self.nodes.integral + self.share * self.nodes.error + price
+        total = np.where(np.isfinite(cost), cost, 0.0)
+        axes, children = [np.where(tree.child >= 0, tree.axis, -1)], [np.stack([tree.child, tree.child + 1], axis=1)]
+        for split in tree.splits[::-1]:
+            both = total[tree.child[split]] + total[tree.child[split] + 1]
+            total[split] = np.minimum(cost[split], both)
+            axes[0][split[cost[split] <= both]] = -1
+        own = [OwnBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
+        for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.share), strict=True):
+            first += len(box)
+            axes.append(axis)
+            children.append(np.where(axis[:, None] >= 0, first + child[axis, :, box], -1))
+        axis, child = np.concatenate(axes), np.concatenate(children)
+        place, roots = np.arange(len(axis)), np.concatenate(self.roots)
+        place[roots] = num + np.arange(len(roots))
+        levels, nodes, paths = [], [place[:1]], [np.zeros(1, np.int64)]
+        while len(here := nodes[-1]):
+            inner = axis[here] >= 0
+            bit = 1 << (MAX_DEPTH - len(levels))
+            levels.append(Level(inner, axis[here[inner]]))
+            nodes.append(place[child[here[inner]]].ravel())
+            paths.append((paths[-1][inner, None] + np.array([0, bit])).ravel())
+        node, path = np.concatenate(nodes), np.concatenate(paths)
+        leaf = np.flatnonzero(axis[node] < 0)
+        leaf = node[leaf[np.argsort(path[leaf])]]
+        num_bytes = self.files.num_bytes(self.source(leaf), self.limits)
+        share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
+        return FoundTree(price, levels, node, leaf, num_bytes, share)
+
+    def priced(self, found: FoundTree) -> PricedNodes:
+        """What is known of the nodes of a tree."""
+        boxes = [level.boxes for level in self.levels]
+        integral, error, source = (
+            np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
+            for name in ("integral", "error", "source")
+        )
+        return PricedNodes(integral, error, source, found.price)
 
 
-def _halved(boxes: ConeBoxes, most: int, deepest: int) -> ConeBoxes:
-    """Boxes of which those that err most are halved, along the axis that leaves less error, up to so many.
+def _best_within(search: ConeSearch, price: float) -> FoundTree | None:
+    """The best tree within the limits, of prices between one at which it is and one at which it is not.
 
-    None is halved more often along one axis than the deepest one.
+    None if it is not at any that is tried; raises ``BudgetTooSmall`` if one leaf is too much.
     """
-    for _ in range(_MOST_ROUNDS):
-        integral = np.where((boxes.cells.depth < deepest).any(axis=1), boxes.integral, 0.0)
-        rows = np.argsort(-integral, kind="stable")[: max(most - len(boxes.cells), 0)]
-        rows = np.sort(rows[integral[rows] > _WORTH * integral.max(initial=0.0)])
-        if not len(rows):
+    search.look(price)
+    now, fits, beyond = search.best(price), None, None
+    for attempt in range(_ATTEMPTS):
+        if now.share > (_FAR if attempt else _LEFT):
             break
-        count = len(rows)
-        axis, is_upper = np.tile([0, 0, 1, 1], count), np.tile([False, True], 2 * count)
-        halves, _, _ = boxes.new_halves(np.repeat(rows, 4), axis, is_upper, np.empty(0, np.uint64))
-        left = halves.integral.reshape(count, 2, 2).sum(axis=2)
-        left[boxes.cells.depth[rows] >= deepest] = np.inf
-        best = 4 * np.arange(count) + 2 * left.argmin(axis=1)
-        rest = np.setdiff1d(np.arange(len(boxes.cells)), rows)
-        boxes = boxes[rest].append(halves[np.stack([best, best + 1], axis=1).ravel()])
-    return boxes
+        price *= (max(now.share, _LEAST) / _AIM) ** _RATE
+        search.seek(int((1 - now.share) * len(now.leaves)), price)
+        search.look(price)
+        fits, now = now, search.best(price)
+        if len(now.leaves) == len(fits.leaves):
+            break
+    for attempt in range(1, _ATTEMPTS + 1):
+        if now.share <= 1:
+            fits = now
+            if beyond is None or now.share > _FULL:
+                break
+        else:
+            beyond = now
+        if fits is not None and beyond is not None:
+            between = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
+            price = fits.price * (beyond.price / fits.price) ** float(np.clip(between, 0.05, 0.95))
+        elif len(now.leaves) > 1:
+            price *= (now.share / _AIM) ** (_RATE * attempt)
+        else:
+            search.limits.require_room(now.num_bytes)
+        now = search.best(price)
+    return fits
