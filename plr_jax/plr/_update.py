@@ -1,6 +1,7 @@
 """The leaves of a PLR after its map has changed."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,9 @@ def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, lab
     found = model.updated(ProvenLeaves(domain, tree, contents.stored, bounds, origin.priced), oracle, before, limits)
     new = Contents(domain, model, found.levels, found.cells, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
-    proven = prove_bounds(functions_of(new, coefficients, found.anew), found.visible, bounds.largest)
-    bounds.lower[found.anew], bounds.upper[found.anew] = proven.lower, proven.upper
-    rounding = model.rounding(domain, new.cells, coefficients)
+    rounding, anew = model.rounding(domain, new.cells, coefficients), found.anew
+    enough = partial(certificate.enough, rounding=rounding[anew])
+    proven = prove_bounds(functions_of(new, coefficients, anew), found.visible, enough)
+    bounds.lower[anew], bounds.upper[anew] = proven.lower, proven.upper
     new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
     return new, Origin(oracle, origin.max_bytes, bounds, found.priced)

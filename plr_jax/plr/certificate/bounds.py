@@ -91,7 +91,7 @@ def proven_errors(
 # Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 _OF_RANGE = 0.04  # of the range of errors that are met in a leaf, by which its bounds may be beyond them
-_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
+LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
 
 
 @runtime_checkable
@@ -126,11 +126,24 @@ class LeafBounds:
         return float(max(self.upper.max(initial=0.0), -self.lower.min(initial=0.0)))
 
 
-def prove_bounds(functions: LeafFunctions, visible: CellSources, largest_of_others: float = 0.0) -> LeafBounds:
+Errors: TypeAlias = Float[np.ndarray, "leaves"]
+"""Of the distance minus what each leaf holds."""
+
+
+def prove_bounds(
+    functions: LeafFunctions,
+    visible: CellSources,
+    enough: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
+) -> LeafBounds:
     """Bounds for leaves, whose sources are given as cells.
 
-    Those need be no better than a small part of the largest error of all leaves, which others may have. In double
-    precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
+    In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
+
+    Args:
+        functions: What the leaves hold.
+        visible: Their sources.
+        enough: What bounds of leaves need not be better than, given errors that are met; None: such as are close to
+            these, or off by little of the largest error of all.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -144,12 +157,16 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, largest_of_othe
             visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
         )
         # Bounds that need not be better, given errors that are met.
-        largest = max(largest_of_others, most.max(initial=0.0), -least.min(initial=0.0))
+        largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (
-            np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
+            np.clip(_OF_RANGE * (most - least), LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
             + visible.slack
         )
         low_enough, high_enough = least - spare, most + spare
+        if enough is not None:
+            low, high = enough(least - visible.slack, most + visible.slack)
+            low_enough = np.minimum(low_enough, low + visible.slack)
+            high_enough = np.maximum(high_enough, high - visible.slack)
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
         open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
         np.minimum.at(lower, leaf[~open_], below[~open_])

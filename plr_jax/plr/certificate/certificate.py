@@ -9,14 +9,15 @@ A bound is ``scale * 2**((code - 255) / 12)``, below or above what the leaf hold
 the smallest is 4e-7 of the largest. All of them are rounded away from zero.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
-from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.certificate.classes import in_classes, in_these_classes, read_classes, write_classes
+from plr_jax.plr.certificate.bounds import LEAST_OF_LARGEST, LeafBounds
+from plr_jax.plr.certificate.classes import distinct, in_classes, in_these_classes, read_classes, write_classes
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.frame import LARGEST
 
@@ -86,7 +87,7 @@ class Certificate:
             found = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_codes(lower, before.scale), _codes(upper, before.scale)])
-                found = in_these_classes(of_scale, np.unique(before.codes, axis=1), factor, room)
+                found = in_these_classes(of_scale, distinct(before.codes), factor, room)
                 scale = scale if found is None else before.scale
             if found is None:
                 found = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
@@ -106,6 +107,33 @@ class Certificate:
         if self.proof is Proof.OPEN_LEAVES:
             upper[self.codes[1] == _MOST] = np.inf
         return np.stack([-lower, upper])
+
+    @cached_property
+    def _classes(self) -> Float[np.ndarray, "2 classes"]:
+        """Bounds of all classes, the narrowest first."""
+        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct(self.codes)).bounds()
+        return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
+
+    def enough(
+        self,
+        least: Float[np.ndarray, "leaves"],
+        most: Float[np.ndarray, "leaves"],
+        rounding: Float[np.ndarray, "leaves"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
+        """Bounds of leaves than which better ones are not needed, given errors that are met.
+
+        Those of the narrowest class that holds these, less what queries round; or such as are off by little of the
+        largest error of all.
+        """
+        spare = LEAST_OF_LARGEST * self.scale
+        least, most = least - spare, most + spare
+        if self.proof is not Proof.CLASSES:
+            return least, most
+        lower, upper = self._classes
+        holds = (least + spare - rounding >= lower[:, None]) & (most - spare + rounding <= upper[:, None])
+        place, is_held = holds.argmax(axis=0), holds.any(axis=0)
+        low, high = (np.where(is_held, each[place], 0.0) for each in (lower, upper))
+        return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
     def write(self, body: BitWriter) -> None:
         """Append it to a file."""

@@ -101,6 +101,11 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
         place = place[place > each]
 
 
+def distinct(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
+    """Each class once."""
+    return codes[:, np.unique(_as_numbers(codes), return_index=True)[1]]
+
+
 def _as_numbers(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
     """Both codes of each as one number, in their order."""
     lower, upper = codes.astype(np.int64)

@@ -83,7 +83,7 @@ class Cone(FamilyLeafModel):
 
     def updated(self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
         """Leaves in which all distances have changed by one number stay."""
-        return updated_cones(leaves, oracle, before, limits)
+        return updated_cones(leaves, oracle, before, limits, sample_pattern(2, self.num_samples, 0, 0))
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""

@@ -21,7 +21,9 @@ from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, resolved_error
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.kept import ConeLeaves
+from plr_jax.plr.leaves.cone.sight import MemberTree, options_of_trees, sources_in_sight
 from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree, grown_domain
+from plr_jax.plr.sampling.cell_fit import Pattern
 
 _ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest distance, by which those may be off
 _MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
@@ -84,8 +86,13 @@ def _share(tree: Tree) -> float:
     return LEAST_SHARE_PROVEN / len(tree.node_of_leaf)
 
 
-def updated_cones(proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
-    """Leaves that stay, and the best ones anew in the place of the others, within limits."""
+def updated_cones(
+    proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits, pattern: Pattern
+) -> UpdatedLeaves:
+    """Leaves that stay, and the best ones anew in the place of the others, within limits.
+
+    By the pattern, samples of a cell, sources in sight are chosen.
+    """
     changed = oracle.changed_since(before)
     leaves = ConeLeaves(proven.domain, proven.tree, proven.stored, proven.bounds, changed.slack)
     _require_proof_of(before, leaves)
@@ -97,7 +104,7 @@ def updated_cones(proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, 
         search = ConeSearch.of(leaves, priced, changed, np.full_like(change, np.nan), source, oracle, limits)
     while best is None:
         best, price = _best_within(search, price), _RISE * price
-    cells, new = search.cells(best.leaves), search.files.stored(search.source(best.leaves))
+    cells, new = search.cells(best.leaves), search.files.stored(search.sources_in_sight(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
@@ -128,7 +135,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The best tree at a price.
+    """The best tree at a price, as long as no more is looked at.
 
     Attributes:
         price: The price.
@@ -295,6 +302,26 @@ class ConeSearch:
         share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, levels, node, leaf, num_bytes, share)
 
+    def sources_in_sight(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
+        """Sources of the leaves of a tree, of boxes others where a part does not see the best one."""
+        first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
+        place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
+        leaf = found.leaves[place]
+        depth = np.searchsorted(first, leaf, side="right") - 1
+        tree = MemberTree([], self.cells(leaf), source[place], depth, leaf - first[depth])
+
+        def with_views(view: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
+            changed = source.copy()
+            changed[place] = view
+            return changed
+
+        def fits(view: Int[np.ndarray, "boxes"]) -> bool:
+            return self.files.num_bytes(with_views(view), self.limits) <= self.limits.max_bytes
+
+        if not len(leaf):
+            return source
+        return with_views(sources_in_sight(tree, options_of_trees(self.levels, [tree], pattern), fits))
+
     def priced(self, found: FoundTree) -> PricedNodes:
         """What is known of the nodes of a tree."""
         boxes = [level.boxes for level in self.levels]
@@ -311,16 +338,17 @@ def _best_within(search: ConeSearch, price: float) -> FoundTree | None:
     None if it is not at any that is tried; raises ``BudgetTooSmall`` if one leaf is too much.
     """
     search.look(price)
-    now, fits, beyond = search.best(price), None, None
+    now = search.best(price)
     for attempt in range(_ATTEMPTS):
         if now.share > (_FAR if attempt else _LEFT):
             break
         price *= (max(now.share, _LEAST) / _AIM) ** _RATE
         search.seek(int((1 - now.share) * len(now.leaves)), price)
         search.look(price)
-        fits, now = now, search.best(price)
-        if len(now.leaves) == len(fits.leaves):
+        fewer, now = len(now.leaves), search.best(price)
+        if len(now.leaves) == fewer:
             break
+    fits = beyond = None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share <= 1:
             fits = now
