@@ -29,8 +29,9 @@ _ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest
 _MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
 _FULL, _AIM, _LEFT = 0.99, 0.995, 0.97  # of the bytes: enough; sought; and so few that more leaves are sought
 _ATTEMPTS = 8  # to find a price
+_MOST_SOUGHT = 512  # leaves at once that err most
 _RATE = 2.0  # a price falls about as the bytes to this power
-_FAR = 0.5  # of the limits: so few that leaves are sought more than once
+_FAR = 0.5  # of the limits: so few that the price falls at once
 _LEAST = 0.05  # of the limits, to which smaller trees are taken to fill them
 _RISE = 64.0  # times the price, where no tree is within the limits
 _FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
@@ -46,12 +47,14 @@ class PricedNodes:
         error: Proven bound of each one's largest error.
         source: Its best source, -1 where nothing reaches the goal.
         price: Of a leaf, at which the tree is the best one.
+        share: How much the tree takes of what the limits allow.
     """
 
     integral: Float[np.ndarray, "nodes"]
     error: Float[np.ndarray, "nodes"]
     source: Int[np.ndarray, "nodes"]
     price: float
+    share: float = 1.0
 
 
 def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn) -> PricedNodes:
@@ -203,7 +206,7 @@ class ConeSearch:
         for split in tree.splits:
             whole = split[is_whole[split]]
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
-        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price)
+        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price, priced.share)
         files = ConeFiles(oracle.sources, leaves.domain)
         search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
         boxes = search.boxes(roots)
@@ -329,7 +332,7 @@ class ConeSearch:
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
             for name in ("integral", "error", "source")
         )
-        return PricedNodes(integral, error, source, found.price)
+        return PricedNodes(integral, error, source, found.price, found.share)
 
 
 def _best_within(search: ConeSearch, price: float) -> FoundTree | None:
@@ -337,17 +340,16 @@ def _best_within(search: ConeSearch, price: float) -> FoundTree | None:
 
     None if it is not at any that is tried; raises ``BudgetTooSmall`` if one leaf is too much.
     """
+    share, fewer = search.nodes.share, 0
+    if share < _LEFT:  # room that the change before has left, so that all is looked at together
+        price *= (max(share, _LEAST) / _AIM) ** _RATE
+        search.seek(min(int((1 - share) * len(search.is_sought)), _MOST_SOUGHT), price)
     search.look(price)
     now = search.best(price)
-    for attempt in range(_ATTEMPTS):
-        if now.share > (_FAR if attempt else _LEFT):
-            break
-        price *= (max(now.share, _LEAST) / _AIM) ** _RATE
-        search.seek(int((1 - now.share) * len(now.leaves)), price)
+    while now.share < _FAR and len(now.leaves) > fewer:
+        fewer, price = len(now.leaves), price * (max(now.share, _LEAST) / _AIM) ** _RATE
         search.look(price)
-        fewer, now = len(now.leaves), search.best(price)
-        if len(now.leaves) == fewer:
-            break
+        now = search.best(price)
     fits = beyond = None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share <= 1:
