@@ -6,7 +6,8 @@ two walls, where that is narrowest of several places) or opens it again. Told ar
 cores of what each takes, and of both built anew, every tenth time. Then bounds are tested at random free points, a
 tenth of them around what has changed since, against an oracle that is built anew; broken is one beyond the truth by
 more than queries in 32 bits round. Errors are means at such points, as shares of the mean distance, of the PLR after
-all changes and of one built anew.
+all changes and of one built anew. What is sent of a change, a delta, is patched in NumPy, to the same bytes; told are
+the median and the 95th percentile of its bytes.
 
 ``sequences``: random sequences of changes of small maps, of boxes and polygons that touch, overlap, leave slivers,
 lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
@@ -43,7 +44,7 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
     oracle, plr = _anew(workspace, goal, num_bytes)
     made: list[int] = []
     seconds: dict[str, list[float]] = {"workspace": [], "oracle": [], "cones": [], "anew": []}
-    around, broken, errors, largest = [], 0, {}, plr.num_bytes
+    around, broken, errors, largest, deltas = [], 0, {}, plr.num_bytes, []
     for step in range(1, (2 if smoke else CHANGES) + 1):
         change = _change(rng, oracle, made)
         around += change.get("add", [workspace.obstacles[i] for i in change.get("remove", ())])
@@ -52,8 +53,11 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
         seconds["workspace"].append(took)
         took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
         seconds["oracle"].append(took)
+        old = plr
         took, plr = timed(lambda plr=plr, oracle=oracle: plr.updated(oracle))
         seconds["cones"].append(took)
+        deltas.append(len(delta := plr.delta(old)))
+        assert old.numpy().patched(delta).to_bytes() == plr.to_bytes()
         made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
         largest = max(largest, plr.num_bytes)
         if step % (1 if smoke else EVERY) == 0:
@@ -78,6 +82,8 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
         "bounds broken": broken,
         **{f"error, {key}": each for key, each in errors.items()},
         "bytes at most": largest,
+        "bytes of a delta": float(np.median(deltas)),
+        "bytes of a delta, 95 %": float(np.percentile(deltas, 95)),
     }
 
 

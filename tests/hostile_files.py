@@ -153,6 +153,28 @@ def _plr_files() -> list[bytes]:
     return [plr.to_bytes() for plr in plrs]
 
 
+@cache
+def _patched_plrs() -> tuple[plr_jax.PLR, list[bytes]]:
+    """Cones, and deltas of them: of another map's cones, and of planes, whose delta is the whole file."""
+    walls = [[(0.4, 0.1 * i), (0.5, 0.1 * i), (0.5, 0.1 * i + 0.6)] for i in range(2)]
+    box = Box((0, 0), (1, 1))
+    oracles = [plr_jax.VisibilityGraph(Workspace(box, [wall]), (0.1, 0.1)) for wall in walls]
+    old, new = (construct(oracle, box, leaf="cone", max_bytes=400, certified=True) for oracle in oracles)
+    return old, [other.delta(old) for other in (new, construct(oracles[0], box, max_leaves=10))]
+
+
+def _read_delta(path: Path) -> Any:
+    try:
+        return _patched_plrs()[0].patched(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _of_the_base(data: bytes) -> bytes:
+    """A delta that names the file that it is of, which a reader looks at first."""
+    return data[:3] + _patched_plrs()[1][0][3:7] + data[7:]
+
+
 def _pairs_files() -> list[bytes]:
     pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
     data, many = pairs.to_bytes(), corridor(8192)
@@ -305,6 +327,7 @@ READERS = {
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
+    "delta": Reader(_read_delta, ".delta", lambda: _patched_plrs()[1], _of_the_base),
     "HTTP": Reader(_read_answer, ".http", _answer_files),
 }
 

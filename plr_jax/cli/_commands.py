@@ -291,6 +291,7 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
     "plr-jax export maze.plr -o plr_maze.h",
     "plr-jax export maze.plr -o include/maze.h --name level_1",
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
+    "plr-jax export maze.plr -o maze.h --tables maze.tables",
 )
 def export(
     file: FileArgument,
@@ -303,6 +304,15 @@ def export(
         str | None,
         typer.Option(help="With which all that it defines begins.", show_default="the header's without its ending"),
     ] = None,
+    tables: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the tables apart (.tables, .bin), for the header to load: of a map that changes they are "
+            "written again, and nothing is compiled again.",
+            show_default="in the header",
+        ),
+    ] = None,
 ) -> None:
     """Write a file as code that answers points: without heap, and bit for bit what query prints.
 
@@ -312,14 +322,19 @@ def export(
     from plr_jax.plr import load_numpy
 
     require_writable(output, (".h", ".hpp"), inputs=(file,))
+    require_writable(tables, (".tables", ".bin"), inputs=(file,))
     is_of_pairs = _holds_pairs(file)
     if goal is not None and not is_of_pairs:
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
     plr = _to_goal(_loaded(file), file, goal) if is_of_pairs else load_numpy(file)
     if not hasattr(plr, "c_header"):
         raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
-    text = plr.c_header(output.stem if name is None else name)
+    text = plr.c_header(output.stem if name is None else name, loads_tables=tables is not None)
     write_atomically(output, text.encode())
+    if tables is not None:
+        write_atomically(tables, data := plr.c_tables())
+        typer.echo(f"wrote {output}: {len(text):,} bytes of text, and {tables}: {len(data):,} bytes")
+        return
     (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
     typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from plr_jax.plr.file.range_coder import Coder
+from plr_jax.plr.file.range_coder import RARE, Coder
 from plr_jax.plr.partition.cells import MAX_DEPTH, Level, levels_of_preorder, preorder_of_levels
 
 Halves = tuple[tuple[int, ...], ...]
 """Along each axis, in which halves of halves of an old node's cell a new node's cell lies."""
 _MOST_SIZE, _RANKS = 4, 4  # bits of a tree's size, and ranks of sources, that are expected each for itself
-_NO_HALF, _SPLIT, _LEAF, _LEAF_AS_BEFORE = range(4)  # what the lower half of the same parent is
+# What the lower half of the same parent is: as before, so that this half is not, where the parent is not; none; ...
+_AS_BEFORE, _NO_HALF, _SPLIT, _LEAF, _LEAF_AS_BEFORE = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class _Walk:
             old: The smallest old node that holds it.
             within: Where in that one it lies.
             above: The kind of its parent.
-            lower: What the lower half of the same parent is; -1 if nothing but this half is not as before.
+            lower: What the lower half of the same parent is.
             depth: How many nodes are above it.
 
         Returns:
@@ -98,23 +99,26 @@ class _Walk:
         """
         before, node, is_cell = self.before, len(self.kind), not any(within)
         size = min(before.below[old].bit_length(), _MOST_SIZE)
-        if is_cell and lower >= 0 and self.coder.bit(("as before", size), self._is_as_before(old)):
+        if is_cell and lower != _AS_BEFORE and self.coder.bit(("as before", size, lower), self._is_as_before(old)):
             self._copy(old)
             return True
-        is_split = self.coder.bit(("split", is_cell, size, lower), self.after and int(self.after.kind[node] > 0))
+        odds = RARE[::-1] if is_cell and size == _MOST_SIZE else (1, 1)  # of a large tree something is kept
+        is_split = self.coder.bit(
+            ("split", is_cell, size, lower), self.after and int(self.after.kind[node] > 0), odds
+        )
         if not is_split:
             self.kind.append(0)
             self._add_leaf(old, is_cell)
             return False
         if depth == MAX_DEPTH:
             raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
-        context = "axis", before.kind[old], above
+        context = "axis", is_cell, before.kind[old], above
         axis = self.coder.symbol(context, self.after and self.after.kind[node] - 1, self.counts.dim)
         self.kind.append(axis + 1)
         is_as_before = self.visit(*self._half(old, within, axis, 0), axis + 1, _NO_HALF, depth + 1)
         upper, within_upper = self._half(old, within, axis, 1)
         if is_as_before and is_cell and before.kind[old] == axis + 1:
-            lower = -1
+            lower = _AS_BEFORE
         elif self.kind[node + 1]:
             lower = _SPLIT
         else:

@@ -93,7 +93,7 @@ def _patched(before: bytes, delta: bytes) -> bytes:
     coded = delta[reader.at :]
     found = _inflated(before, coded, number) if version & _WHOLE else _decoded(before, coded, number)
     if _digest(found) != digest:
-        raise ValueError("it is damaged, as what it makes is another file than it was made for")
+        raise ValueError("it is damaged: what it makes is not the file that it was made for")
     return found
 
 
@@ -104,15 +104,18 @@ def _inflated(before: bytes, deflated: bytes, num_bytes: int) -> bytes:
         inflate = zlib.decompressobj(wbits=-zlib.MAX_WBITS, zdict=before[-_WINDOW:])
         return inflate.decompress(deflated, num_bytes + 1)  # 0 would be without a limit
     except zlib.error:
-        raise ValueError("it is damaged, as nothing was deflated so") from None
+        raise ValueError("it is damaged: nothing is deflated so") from None
 
 
 def _decoded(before: bytes, coded: bytes, num_leaves: int) -> bytes:
     old = _File.of(before)
     if not 0 < num_leaves <= _most_leaves(old.contents, coded):
         raise ValueError(f"it states {num_leaves:,} leaves, of which its bytes cannot tell")
-    with np.errstate(all="ignore"):  # of coordinates that no file has
-        return _coded_file(RangeDecoder(coded), old, None, num_leaves)
+    try:
+        with np.errstate(all="ignore"):  # of coordinates that no file has
+            return _coded_file(RangeDecoder(coded), old, None, num_leaves)
+    except ValueError as error:
+        raise ValueError(f"it is damaged: {error}") from error
 
 
 def _digest(data: bytes) -> bytes:
@@ -157,7 +160,9 @@ def _coded_label(coder: Coder, before: str, after: str | None) -> str:
         return before
     data = None if after is None else list(after.encode())
     length = coder.number(None if data is None else len(data), _LABEL_BITS)
-    return bytes(coder.number(None if data is None else data[place], 8) for place in range(length)).decode()
+    return bytes(coder.number(None if data is None else data[place], 8) for place in range(length)).decode(
+        errors="replace"
+    )
 
 
 def _moved_pairs(before: Cells, bounds: Bounds, after: Cells, bounds_after: Bounds) -> dict[int, int]:
