@@ -12,18 +12,26 @@ the median and the 95th percentile of its bytes.
 ``sequences``: random sequences of changes of small maps, of boxes and polygons that touch, overlap, leave slivers,
 lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
 tolerance of the workspace where slivers are as thin.
+
+``doors``: three doorways of the floor plan close and open, one after the other: a film of cones of 2 KB and paths.
 """
 
+import io
+from base64 import b64decode, b64encode
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
 
 from experiments._measures import timed
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
-from plr_jax import PLR, VisibilityGraph, Workspace, construct
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
 CHANGES, EVERY, POINTS = 100, 10, 1_000_000
@@ -110,9 +118,9 @@ def _box(rng: np.random.Generator, workspace: Workspace) -> shapely.Polygon:
     return shapely.box(*(center - half), *(center + half))
 
 
-def _doorway(rng: np.random.Generator, workspace: Workspace) -> shapely.Polygon:
+def _doorway(rng: np.random.Generator, workspace: Workspace, tried: int = _TRIED) -> shapely.Polygon:
     """A box that reaches from wall to wall, at the narrowest of some places."""
-    center = workspace.sample_free(_TRIED, int(rng.integers(2**31)))
+    center = workspace.sample_free(tried, int(rng.integers(2**31)))
     reach, thin, lines = workspace.bounds.width.max(), 0.002 * workspace.bounds.width.max(), []
     for axis in range(2):
         step = reach * np.eye(2)[axis]
@@ -197,7 +205,85 @@ def random_obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
     return shapely.box(*corner, *(corner + size))
 
 
-SECTIONS = {each.__name__: Section(each) for each in (maps, sequences)}
+DOORS, DOORWAYS, FILM_BYTES, STARTS = 3, 60, 2_048, 5
+_SECONDS_A_PICTURE, _DPI = 1.6, 72
+
+
+def doors(seed: int, smoke: bool) -> dict[str, Any]:
+    workspace, goal = load_maps(("floor_plan",))["floor_plan"]
+    oracle, plr = _anew(workspace, goal, 512 if smoke else FILM_BYTES)
+    starts, num_doors = workspace.sample_free(STARTS, seed), 1 if smoke else DOORS
+    boxes = _telling_doors(np.random.default_rng(seed), oracle, num_doors)
+    first, pictures = len(workspace.obstacles), []
+    closed = range(num_doors)
+    changes = [{"add": [box]} for box in boxes] + [{"remove": [first + i]} for i in closed]
+    words = ["all doors open", *(f"door {i + 1} closes" for i in closed), *(f"door {i + 1} opens" for i in closed)]
+    for word, change in zip(words, [None, *changes], strict=True):
+        old, took = plr, 0.0
+        if change is not None:
+            workspace = workspace.with_obstacles(**change)
+            took, oracle = timed(lambda oracle=oracle, workspace=workspace: oracle.with_workspace(workspace))
+            more, plr = timed(lambda plr=plr, oracle=oracle: plr.updated(oracle))
+            took += more
+        reached = starts[np.isfinite(oracle(starts))]
+        pictures.append(
+            {
+                "word": word,
+                "ms": 1e3 * took,
+                "bytes of the delta": 0 if change is None else len(plr.delta(old)),
+                "closed": [
+                    i for i in closed if i + first < len(workspace.obstacles) and not _is_gone(workspace, i + first)
+                ],
+                "plr": b64encode(plr.to_bytes()).decode("ascii"),
+                "paths": [np.round(path, 3).tolist() for path in trace(plr, reached).paths],
+            }
+        )
+    return {"boxes": [list(box.bounds) for box in boxes], "goal": list(map(float, goal)), "pictures": pictures}
+
+
+def _telling_doors(rng: np.random.Generator, oracle: VisibilityGraph, num: int) -> list[shapely.Polygon]:
+    """Of some doorways, those far from one another that make the most difference when they close."""
+    workspace, far = oracle.workspace, 0.1 * oracle.workspace.bounds.width.max()
+    x = workspace.sample_free(500, 0)
+    before, boxes = oracle(x), [_doorway(rng, workspace, tried=4) for _ in range(DOORWAYS)]
+    longer = [np.minimum(oracle.with_workspace(workspace.with_obstacles([box]))(x), far + before) for box in boxes]
+    chosen: list[shapely.Polygon] = []
+    for i in np.argsort([-each.mean() for each in longer]):
+        if not any(boxes[i].dwithin(other, far) for other in (*chosen, shapely.Point(oracle.goal))):
+            chosen.append(boxes[i])
+    return chosen[:num]
+
+
+def _is_gone(workspace: Workspace, number: int) -> bool:
+    return workspace.obstacles[number].is_empty
+
+
+def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
+    workspace, _ = load_maps(("floor_plan",))["floor_plan"]
+    boxes, frames = [shapely.box(*bounds) for bounds in results["boxes"]], []
+    for picture in results["pictures"]:
+        figure = Figure(figsize=(7.2, 4.2), dpi=_DPI, layout="constrained", facecolor="white")
+        ax, there = figure.subplots(), workspace.with_obstacles([boxes[i] for i in picture["closed"]])
+        plr = from_bytes(b64decode(picture["plr"]))
+        plot.plot_contours(plr, ax, workspace=there, goal=results["goal"], resolution=500)
+        for i in picture["closed"]:
+            ax.fill(*boxes[i].exterior.xy, color="#d1495b", linewidth=2, zorder=4)
+        for path in picture["paths"]:
+            ax.plot(*np.array(path).T, color="white", linewidth=3, zorder=4)
+            ax.plot(*np.array(path).T, color="#d1495b", linewidth=1.6, zorder=4)
+        told = f": {picture['ms']:.0f} ms, {picture['bytes of the delta']:,} bytes to send" if picture["ms"] else ""
+        ax.set_title(picture["word"] + told, fontsize=11)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(64))
+    data, path = io.BytesIO(), output / "living_doors.gif"
+    delay = int(1000 * _SECONDS_A_PICTURE)
+    frames[0].save(data, "GIF", save_all=True, append_images=frames[1:], duration=delay, loop=0)
+    path.write_bytes(data.getvalue())
+    return [path]
+
+
+SECTIONS = {"maps": Section(maps), "sequences": Section(sequences), "doors": Section(doors, draw_doors)}
 
 if __name__ == "__main__":
     run("living", __doc__, SECTIONS)

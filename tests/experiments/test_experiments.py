@@ -46,7 +46,7 @@ FAMILIES = {
     "shaping": ("--only", "learning"),
     "costs": ("--only", "estimates"),
     "volumes": ("--only", "volumes"),
-    "living": ("--only", "maps"),
+    "living": ("--only", "maps", "doors"),
 }
 
 
