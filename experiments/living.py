@@ -13,6 +13,8 @@ the median and the 95th percentile of its bytes.
 lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
 tolerance of the workspace where slivers are as thin.
 
+``large``: the workspace and the oracle of a field of obstacles with 17,000 vertices after a change.
+
 ``doors``: three doorways of the floor plan close and open, one after the other: a film of cones of 2 KB and paths.
 """
 
@@ -31,6 +33,7 @@ from PIL import Image
 from experiments._measures import timed
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
+from experiments.benchmarks._oracle import polygon_field
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
@@ -205,6 +208,32 @@ def random_obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
     return shapely.box(*corner, *(corner + size))
 
 
+VERTICES, FEW = 17_000, 20
+
+
+def large(seed: int, smoke: bool) -> dict[str, Any]:
+    workspace = polygon_field(80 if smoke else VERTICES, seed)[0]
+    goal, rng, made = workspace.sample_free(1, seed)[0], np.random.default_rng(seed), []
+
+    def prepared(workspace: Workspace) -> VisibilityGraph:
+        oracle = VisibilityGraph(workspace, goal)
+        oracle(goal)
+        return oracle
+
+    seconds: dict[str, list[float]] = {"workspace": [], "oracle": []}
+    anew, oracle = timed(lambda: prepared(Workspace(workspace.bounds, workspace.obstacles)))
+    for _ in range(2 if smoke else FEW):
+        change, first = _change(rng, oracle, made), len(workspace.obstacles)
+        took, workspace = timed(lambda change=change, workspace=workspace: workspace.with_obstacles(**change))
+        seconds["workspace"].append(took)
+        took, oracle = timed(lambda oracle=oracle, workspace=workspace: oracle.with_workspace(workspace))
+        seconds["oracle"].append(took)
+        made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
+    medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items()}
+    share = {"times as soon": 1e3 * anew / sum(medians.values())}
+    return {"vertices": len(workspace.boundary.vertices), **medians, "ms anew": 1e3 * anew, **share}
+
+
 DOORS, DOORWAYS, FILM_BYTES, STARTS = 3, 60, 2_048, 5
 _SECONDS_A_PICTURE, _DPI = 1.6, 72
 
@@ -283,7 +312,12 @@ def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
     return [path]
 
 
-SECTIONS = {"maps": Section(maps), "sequences": Section(sequences), "doors": Section(doors, draw_doors)}
+SECTIONS = {
+    "maps": Section(maps),
+    "sequences": Section(sequences),
+    "large": Section(large),
+    "doors": Section(doors, draw_doors),
+}
 
 if __name__ == "__main__":
     run("living", __doc__, SECTIONS)
