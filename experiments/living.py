@@ -217,7 +217,7 @@ def large(seed: int, smoke: bool) -> dict[str, Any]:
 
     def prepared(workspace: Workspace) -> VisibilityGraph:
         oracle = VisibilityGraph(workspace, goal)
-        oracle(goal)
+        oracle(goal[None])
         return oracle
 
     seconds: dict[str, list[float]] = {"workspace": [], "oracle": []}
