@@ -19,7 +19,7 @@ from plr_jax.plr._certify import require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._proof import certificate_of
-from plr_jax.plr._update import Origin
+from plr_jax.plr._update import Origin, can_be_updated
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.folding.choice import folding_of
@@ -51,9 +51,8 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
         from plr_jax.plr._assembly import plr_of_leaves
 
         given = signature(leaves_of).bind(*args, **kwargs).arguments
-        plr = plr_of_leaves(leaves_of(*args, **kwargs))
-        if isinstance(given["distance_fn"], ChangingFn):
-            max_bytes = given.get("max_bytes")
+        plr, max_bytes = plr_of_leaves(contents := leaves_of(*args, **kwargs)), given.get("max_bytes")
+        if can_be_updated(contents) and isinstance(given["distance_fn"], ChangingFn):
             vars(plr)["_origin"] = Origin(given["distance_fn"], None if max_bytes is None else int(max_bytes))
         return plr
 

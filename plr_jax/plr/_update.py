@@ -34,6 +34,11 @@ class Origin:
     priced: Any = None
 
 
+def can_be_updated(contents: Contents) -> bool:
+    """Whether they are certified cones."""
+    return contents.certificate is not None and isinstance(contents.leaf, FamilyLeafModel)
+
+
 def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, label: str) -> tuple[Contents, Origin]:
     """What :meth:`PLR.updated` makes of leaves, for a file with a label, and what it remembers of them."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle

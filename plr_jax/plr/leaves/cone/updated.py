@@ -264,6 +264,8 @@ class ConeSearch:
         cost[self.is_sought | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
+        if not len(leaf):
+            return
         self.is_sought[leaf] = True
         self.roots.append(node := tree.node_of_leaf[leaf])
         boxes = self.boxes(node)
