@@ -15,11 +15,15 @@ tolerance of the workspace where slivers are as thin.
 
 ``large``: the workspace and the oracle of a field of obstacles with 17,000 vertices after a change.
 
+``rivals``: boxes of cells of den520d that are blocked and freed, one after the other, beside the grid searches that
+repair what they found, for one start, and scikit-fmm, which marches again.
+
 ``doors``: three doorways of the floor plan close and open, one after the other: a film of cones of 2 KB and paths.
 """
 
 import io
 from base64 import b64decode, b64encode
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +36,8 @@ from PIL import Image
 
 from experiments._measures import timed
 from experiments._runner import Section, run
-from experiments.benchmarks._maps import load_maps
+from experiments.baselines.incremental import incremental_planners, replanned
+from experiments.benchmarks._maps import load_map, load_maps
 from experiments.benchmarks._oracle import polygon_field
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
@@ -234,6 +239,82 @@ def large(seed: int, smoke: bool) -> dict[str, Any]:
     return {"vertices": len(workspace.boundary.vertices), **medians, "ms anew": 1e3 * anew, **share}
 
 
+RIVALS_MAP, LONGEST = "den520d", 0.03
+
+
+def rivals(seed: int, smoke: bool) -> dict[str, Any]:
+    import skfmm
+
+    found = load_map(RIVALS_MAP)
+    if found is None:
+        return {"rows": []}
+    (workspace, at), rng, num_bytes = found, np.random.default_rng(seed), 1_024 if smoke else BYTES
+    shape, lo = workspace.bounds.width.astype(int)[::-1], workspace.bounds.lo
+    center = lo + np.argwhere(np.ones(shape))[:, ::-1] + 0.5
+    free = workspace.is_free(center).reshape(shape)
+    goal = np.floor(at - lo).astype(int)
+    oracle, plr = _anew(workspace, lo + goal + 0.5, num_bytes)
+    reach = np.argwhere(free & np.isfinite(oracle(center)).reshape(shape))
+    start = rng.choice(reach)[::-1]
+    planners = incremental_planners(free, tuple(start), tuple(goal))
+    for planner in planners.values():
+        planner.plan()
+    names = ("with_workspace", "updated", "built anew", *planners, "scikit-fmm")
+    seconds, errors = ({name: [] for name in names} for _ in range(2))
+    made: list[Any] = []
+    for step in range(2 if smoke else FEW):
+        blocked = step % 2 == 0
+        if blocked:
+            made.append(_free_cells(rng, free, np.stack([start, goal])))
+        cells = made[-1]
+        free[cells[:, 1], cells[:, 0]] = not blocked
+        box = shapely.box(*(lo + cells.min(axis=0)), *(lo + cells.max(axis=0) + 1))
+        change = {"add": [box]} if blocked else {"remove": [len(workspace.obstacles) - 1]}
+        workspace, before = workspace.with_obstacles(**change), oracle
+        took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
+        seconds["with_workspace"].append(took)
+        took, plr = timed(lambda plr=plr, oracle=oracle: plr.updated(oracle))
+        seconds["updated"].append(took)
+        took, (_, other) = timed(lambda workspace=workspace: _anew(workspace, lo + goal + 0.5, num_bytes))
+        seconds["built anew"].append(took)
+        x = center[free.ravel()]
+        truth = oracle(x)
+        x, truth = x[np.isfinite(truth)], truth[np.isfinite(truth)]
+        length = float(oracle(lo + start[None] + 0.5)[0])
+        for name, planner in planners.items():
+            took, cost = timed(partial(replanned, planner, cells, blocked=blocked))
+            seconds[name].append(took)
+            errors[name].append(abs(cost - length) / length)
+        away = np.linalg.norm(center - lo - goal - 0.5, axis=1).reshape(shape)
+        took, field = timed(lambda away=away: skfmm.distance(np.ma.MaskedArray(away - 2, ~free)))
+        seconds["scikit-fmm"].append(took)
+        marched = np.ma.filled(field + 2, np.nan)[*np.floor(x - lo).astype(int).T[::-1]]
+        for name, values in (("updated", plr(x)), ("built anew", other(x)), ("scikit-fmm", marched)):
+            errors[name].append(float(np.nanmean(np.abs(np.asarray(values, float) - truth)) / truth.mean()))
+    told = {
+        "with_workspace": "any point, exact",
+        "LPA*": "one path",
+        "D* Lite": "one path",
+        "scikit-fmm": "all cells",
+    }
+    rows = []
+    for name in names:
+        error = float(np.mean(errors[name])) if errors[name] else 0.0
+        ms = 1e3 * float(np.median(seconds[name]))
+        rows.append({"by": name, "answers": told.get(name, "any point, proven"), "ms": ms, "mean error": error})
+    return {"map": RIVALS_MAP, "rows": rows}
+
+
+def _free_cells(rng: np.random.Generator, free: Any, others: Any) -> Any:
+    """All cells of a box of 1 to 3 % of the width, all free, none of which is another."""
+    while True:
+        size = rng.integers(int(0.01 * free.shape[1]) + 1, int(LONGEST * free.shape[1]) + 1, 2)
+        corner = rng.integers(0, np.array(free.shape)[::-1] - size)
+        cells = corner + np.argwhere(np.ones(size))
+        if free[cells[:, 1], cells[:, 0]].all() and not (cells[:, None] == others).all(axis=2).any():
+            return cells
+
+
 DOORS, DOORWAYS, FILM_BYTES, STARTS = 3, 60, 2_048, 5
 _SECONDS_A_PICTURE, _DPI = 1.6, 72
 
@@ -316,6 +397,7 @@ SECTIONS = {
     "maps": Section(maps),
     "sequences": Section(sequences),
     "large": Section(large),
+    "rivals": Section(rivals),
     "doors": Section(doors, draw_doors),
 }
 
