@@ -243,6 +243,28 @@ def may_see(
         view: The viewpoints.
         hull: Corners of the polygon, of all of them or of each.
     """
+    sees, number, height = _above_walls(table, view, hull)
+    sees[number[height.max(axis=1) >= 0]] = True
+    return sees
+
+
+def sees_all(
+    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether viewpoints certainly see all of convex polygons: in front of each wall that they see towards these."""
+    is_around, number, height = _above_walls(table, view, hull)
+    sees = ~is_around
+    sees[number[height.min(axis=1) < 0]] = False
+    return sees
+
+
+def _above_walls(
+    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
+) -> tuple[Bool[np.ndarray, "n"], Int[np.ndarray, "walls"], Float[np.ndarray, "walls k"]]:
+    """Whether polygons are around their viewpoints; and how high their corners are above walls seen towards them.
+
+    The walls of each are those in directions of some of it, ``-inf`` where its viewpoint does not look.
+    """
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
@@ -251,7 +273,7 @@ def may_see(
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
     each, widest = np.arange(len(view)), gap.argmax(axis=1)
     first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]
-    sees, wraps = gap[each, widest] < _TURN / 2, first > last
+    is_around, wraps = gap[each, widest] < _TURN / 2, first > last
     number = np.append(each, each[wraps])
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
@@ -261,11 +283,9 @@ def may_see(
     begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
     run, place = runs(np.maximum(end - begin, 0))
     edge, number = table.edge[begin[run] + place], number[run]
-    number, edge = number[edge >= 0], edge[edge >= 0]
     normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
     height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
-    sees[number[height.max(axis=1) >= offset]] = True
-    return sees
+    return is_around, number, np.where(edge[:, None] < 0, -np.inf, height - offset[:, None])
 
 
 class _Views(NamedTuple):

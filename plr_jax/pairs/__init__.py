@@ -3,8 +3,9 @@
 In the plane (:func:`construct_pairs`) a cell lists the corners at which paths from it may turn first:
 `visible_corners` finds them, `outline` is what a file keeps of the workspace, `stored` the layout of the file, and a
 `query` reads `tables`: `near_walls` between a cell and a corner, and `occluders`, which hide most points from one
-another. To `goals` that stay a query takes about half the time, or a fifth. On grids (:func:`construct_grid_pairs`)
-the same is exact, see ``GRIDS.md``.
+another. After a change of the map (`updated`) lists are found anew where it matters. To `goals` that stay
+a query takes about half the time, or a fifth. On grids (:func:`construct_grid_pairs`) the same is exact, see
+``GRIDS.md``.
 """
 
 import lazy_loader

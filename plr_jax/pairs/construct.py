@@ -14,7 +14,7 @@ from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.outline import Outline
-from plr_jax.pairs.pair_plr import PairPLR, pairs_of_stored
+from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
 from plr_jax.pairs.tables import RECEDING
 from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
@@ -89,7 +89,7 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
 
 
 _SHARE = 0.25  # of the largest key, above which cells are halved in a round
-_IN_VAIN = 0.1  # corners of a list that a point does not see, on average: with fewer queries become no faster
+IN_VAIN = 0.1  # corners of a list that a point does not see, on average: with fewer queries become no faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +156,9 @@ def grow_lists(
     root: VisibleCorners, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
     """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
-    lists = _lists_of(root, Cells.root(2))
-    tree = _ListTree(lists, _keys(root, lists, limits), np.ones(1, bool), np.full(1, -1), root)
-    enough = _IN_VAIN * areas(root.pieces).sum()
+    lists = lists_of(root, Cells.root(2))
+    tree = _ListTree(lists, keys_of(root, lists, limits), np.ones(1, bool), np.full(1, -1), root)
+    enough = IN_VAIN * areas(root.pieces).sum()
 
     def halved(tree: _ListTree) -> _ListTree | None:
         leaves = np.flatnonzero(tree.is_leaf)
@@ -186,8 +186,8 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     both = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
     visible = tree.visible.halves(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
-    lists = _lists_of(visible, both)
-    key = np.minimum(_keys(visible, lists, limits), np.repeat(tree.key[nodes], 2))
+    lists = lists_of(visible, both)
+    key = np.minimum(keys_of(visible, lists, limits), np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
     stay = np.flatnonzero(is_leaf[leaves])
@@ -200,11 +200,12 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     )
 
 
-def _lists_of(visible: VisibleCorners, cells: Cells) -> Lists:
+def lists_of(visible: VisibleCorners, cells: Cells) -> Lists:
+    """The lists of cells, of which it is known what they see."""
     return Lists(cells, *visible.lists())
 
 
-def _keys(visible: VisibleCorners, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
+def keys_of(visible: VisibleCorners, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
     """Free area of each cell times how many of its corners are not seen by all of it; 0 where it is to stay."""
     area = np.bincount(visible.cell, areas(visible.pieces), len(lists.cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(lists.cells))
@@ -241,11 +242,42 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     References:
         "all-pairs" in Section II of the paper.
     """
+    limits = limits_of(workspace, max_bytes)
+    visibility, unlisted, rank = without_lists(workspace)
+
+    def stored(lists: Lists) -> Stored:
+        levels, order = levels_of(lists.cells)
+        place = np.argsort(order)[lists.cell]
+        by_leaf = np.lexsort((rank[lists.corner], place))
+        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
+
+    most = min(limits.max_leaves, most_leaves(len(rank)))
+    root = visible_corners(visibility, workspace, workspace.bounds)
+    lists = grow_lists(root, workspace.bounds, limits, most, lambda lists: len(stored(lists).to_bytes()))
+    held = stored(lists)
+    data = held.to_bytes()
+    require_bytes(len(data), limits)
+    return pairs_of_stored(held, data, MadeOf(workspace, max_bytes))
+
+
+def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:
+    """The limits of pairs of a workspace; raises ``ValueError`` if it is none, or the bytes no number."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     frame = frame_size(workspace.bounds)
-    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE, frame)
+    return check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE, frame)
+
+
+def require_bytes(size: int, limits: Limits) -> None:
+    """Raise ``ValueError`` if a file of one leaf, of so many bytes, is too large."""
+    if size > limits.max_bytes:
+        most = f"max_bytes={limits.max_bytes:,.0f}"
+        raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than {most}.")
+
+
+def without_lists(workspace: Workspace) -> tuple[CornerVisibility, Stored, Int[np.ndarray, "corners"]]:
+    """What corners see, what a file holds besides lists, and which of its corners each is."""
     domain, boundary = workspace.bounds, workspace.boundary
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")
@@ -263,36 +295,23 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
             f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
             "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
         )
-    corner, rank = _corners_in_outline(outline, vertex, visibility, boundary)
+    corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
     edges = in_order(rank[taut_edges(visibility)])
     undivided = levels_of(Cells.root(2))[0], np.zeros(0, np.int64), np.zeros(0, np.int64)
     unlisted = Stored(domain, outline, corner, edges, *undivided, 0.0, None)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
-    unlisted = _with_roundings(unlisted, true, _SLACK * workspace.tolerance)
-
-    def stored(lists: Lists) -> Stored:
-        levels, order = levels_of(lists.cells)
-        place = np.argsort(order)[lists.cell]
-        by_leaf = np.lexsort((rank[lists.corner], place))
-        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
-
-    most = min(limits.max_leaves, most_leaves(len(corner)))
-    root = visible_corners(visibility, workspace, domain)
-    lists = grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes()))
-    if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
-        raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
-    return pairs_of_stored(stored(lists))
+    return visibility, _with_roundings(unlisted, true, _SLACK * workspace.tolerance), rank
 
 
-def _corners_in_outline(
-    outline: Outline, vertex: Int[np.ndarray, "points"], visibility: CornerVisibility, boundary: Boundary
+def corners_in_outline(
+    outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
     """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is.
 
     Of points in one place, it is the one that stands out.
     """
-    number = {tuple(point): i for i, point in enumerate(visibility.corners.points.tolist())}
+    number = {tuple(point): i for i, point in enumerate(corners.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
     order = np.argsort(~outline.is_reflex, kind="stable")
     found, place = np.unique(corner_of_vertex[vertex[order]], return_index=True)

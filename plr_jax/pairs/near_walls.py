@@ -17,7 +17,7 @@ from plr_jax._arrays import padded, padded_size, parts, run_members, runs, size_
 _RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in the tree's traversal
 _STEP = 4
 _COST = 4  # of all walls, as many are tested in the time of one that is read for each point
-_AT_ONCE = 2**16  # pairs of an entry and a wall
+_AT_ONCE = 2**14  # pairs of an entry and a wall
 _BLOCK = 2**20  # pairs of a corner and a wall: of as many corners, the walls near all entries are found together
 _MOST_TESTS = 2**25  # of a block, in one round
 _MOST_PAIRS = 2**24  # of an entry and a wall near it
@@ -42,14 +42,15 @@ class NearWalls:
     def of(
         boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
         leaf: Int[np.ndarray, "entries"],
-        corner: Float[np.ndarray, "entries 2"],
+        listed: Int[np.ndarray, "entries"],
+        corners: Float[np.ndarray, "corners 2"],
         walls: Float[np.ndarray, "walls 4"],
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
         """Those of :func:`near_entries`, for lists of a shape; None if to test all walls takes no longer."""
         worth = len(walls) // _COST // _STEP * _STEP
-        if (near := near_entries(boxes, leaf, corner, walls, margin, worth)) is None:
+        if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
         entry, wall = near
         counts = np.bincount(entry, minlength=len(leaf))
@@ -69,7 +70,8 @@ class NearWalls:
 def near_entries(
     boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
     leaf: Int[np.ndarray, "entries"],
-    corner: Float[np.ndarray, "entries 2"],
+    listed: Int[np.ndarray, "entries"],
+    corners: Float[np.ndarray, "corners 2"],
     walls: Float[np.ndarray, "walls 4"],
     margin: float,
     most: int,
@@ -79,7 +81,8 @@ def near_entries(
     Args:
         boxes: Lower and upper corners of the leaves' boxes, in the order of the tree's traversal.
         leaf: The leaf of each entry of the lists, ascending.
-        corner: Where its corner is.
+        listed: Its corner.
+        corners: Where all corners are.
         walls: Ends of the walls.
         margin: The distance. Few other walls are told too.
         most: How many walls may be near one entry.
@@ -88,13 +91,13 @@ def near_entries(
         The entry of each pair, ascending, and its wall. None if more are near an entry, or in all more than memory
         should hold.
     """
-    _, number = np.unique(corner, axis=0, return_inverse=True)
-    by_corner = np.argsort(number, kind="stable")
-    first = np.searchsorted(number[by_corner], np.arange(number.max(initial=-1) + 2))
+    by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
+    first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
     found, count = [np.zeros((2, 0), np.int32)], 0
     for block in parts(np.full(len(first) - 1, len(walls)), _BLOCK):
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
-        near = _near_entries(boxes, leaf[entries], number[entries] - block.start, corner[entries], walls, margin)
+        number, at = listed[entries] - block.start, corners[listed[entries]]
+        near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
         if (
             near is None
             or np.bincount(near[0]).max(initial=0) > most

@@ -3,133 +3,32 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial, reduce
-from itertools import product
 from math import prod
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.tree_util import GetAttrKey
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, UInt8
 
-from plr_jax._arrays import as_finite_point, run_members
 from plr_jax._cores import answered_in_parts, is_on_one_host
-from plr_jax._types import ArrayLike, Sources
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.goals import PreparedGoals, distances_to_corners, ways_to_goals
+from plr_jax.pairs.one_goal import plr_to
 from plr_jax.pairs.query import is_inside, shortest_ways
 from plr_jax.pairs.stored import Stored
 from plr_jax.pairs.tables import PairTables, build_pair_tables
-from plr_jax.plr._assembly import plr_of_leaves
-from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.file.held import HeldFile, held
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.partition.cells import Cells, Tree, levels_of, tree_of
 from plr_jax.plr.query.frame import Outside, as_outside, require_resolved
 from plr_jax.plr.query.lookup import length_of
 from plr_jax.plr.query.points import as_array
 
-# The distance to one goal, taken out of a PairPLR: a cone in each leaf.
-
-
-_SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
-"""Where each leaf is asked, in its local coordinates."""
-_HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all of a leaf
-_DEPTH = 13  # to which few leaves are halved, such as the one of a file that was cut off before its lists
-_MAX_AXIS_DEPTH = 13
-_NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
-_ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of pairs rounds
-
-PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
-
-
-def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
-    """The PLR of cones of the distance to a goal: each leaf of the pairs has the corner that serves it best."""
-    domain = stored.domain
-    goal = as_finite_point("The goal", domain.settled(goal), 2)
-    if not domain.contains(goal[None])[0]:
-        raise ValueError(f"The goal {goal.tolist()} lies outside the domain {domain}; move it inside.")
-    sources = _sources(stored, pairs, goal)
-    cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
-    most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
-    for halvings in range(most + 1):
-        source, error = _best_sources(stored, pairs, sources, cells, owner)
-        is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
-        is_poor &= halvings < most
-        done.append((cells[~is_poor], source[~is_poor]))
-        poor = cells[is_poor]
-        cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)
-    first, *others = (cells for cells, _ in done)
-    cells, source = first.append(*others), np.concatenate([source for _, source in done])
-    if (source < 0).all():
-        raise ValueError(f"No leaf reaches the goal {goal.tolist()}; move it into free space.")
-    tree = tree_of(cells)
-    cells, source = _joined(tree, source[tree.order])
-    leaf = leaf_model("cone")
-    cells, cones = as_sourced(leaf).of_sources(domain, cells, source, sources)
-    return plr_of_leaves(Contents(domain, leaf, levels_of(cells)[0], cells, cones))
-
-
-def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
-    """The goal, and the corners that shortest paths to it turn at, with their distances and the way on from each.
-
-    A path that turns at a corner goes on straight to the goal, or along an edge to a corner that is nearer to it. A
-    corner from which no edge leads on like that may be where a path starts, but none turns there: its distance is
-    ``inf``, so that no leaf names it.
-    """
-    points = np.concatenate([goal[None], stored.points])
-    distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
-    slack = _ROUNDING * (distances + stored.domain.width.max())
-    parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)
-    start, end = 1 + np.concatenate([stored.edges, stored.edges[:, ::-1]]).T
-    onward = np.linalg.norm(points[start] - points[end], axis=1) + distances[end]
-    leads_on = (onward <= distances[start] + slack[start]) & (distances[end] < distances[start])
-    edges = np.flatnonzero(leads_on & (parents[start] < 0) & np.isfinite(onward))
-    edges = edges[np.argsort(-onward[edges], kind="stable")]
-    parents[start[edges]] = end[edges]  # of several the last one stays: the shortest
-    distances[parents < 0] = np.inf
-    return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
-
-
-def _best_sources(
-    stored: Stored, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
-) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """The source of each cell whose cone is nearest to the distances in it, and its mean error; -1 if none reaches.
-
-    Its owner is the leaf that holds it.
-    """
-    x = cells.points(_SAMPLES, stored.domain)
-    distance = np.full(x.shape[:2], np.inf)
-    is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
-    distance[is_free] = pairs(x[is_free], sources.points[0])
-    entries, cell = run_members(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), owner)
-    cell = np.concatenate([np.arange(len(cells)), cell])
-    source = np.concatenate([np.zeros(len(cells), np.int64), 1 + stored.listed[entries]])
-    cone = sources.distances[source, None] + np.linalg.norm(x[cell] - sources.points[source, None], axis=2)
-    with np.errstate(invalid="ignore"):
-        error = np.where(np.isfinite(distance[cell]), np.abs(cone - distance[cell]), 0.0).mean(axis=1)
-    order = np.lexsort((error, cell))
-    best = order[np.searchsorted(cell[order], np.arange(len(cells)))]
-    reaches = np.isfinite(distance).any(axis=1) & np.isfinite(sources.distances[source[best]])
-    return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
-
-
-def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Leaves and their sources, after halves with one source are one leaf."""
-    of_node = np.full(len(tree.child), -2)
-    of_node[tree.node_of_leaf] = source
-    for split in reversed(tree.splits):
-        lower, upper = of_node[tree.child[split]], of_node[tree.child[split] + 1]
-        of_node[split] = np.where(lower == upper, lower, -2)
-    is_inside = np.zeros(len(tree.child), bool)
-    for split in tree.splits:
-        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (of_node[split] > -2)
-    kept = np.flatnonzero((of_node > -2) & ~is_inside)
-    return tree.cells[kept], of_node[kept]
+if TYPE_CHECKING:
+    from plr_jax.geometry.workspace import Workspace
 
 
 _FEW, _MANY = 2**10, 2**14  # pairs that are answered at once, of few and of many
@@ -291,6 +190,37 @@ class PairPLR(HeldFile):
         """
         return plr_to(self.stored, self, goal)
 
+    def updated(
+        self, workspace: "Workspace", before: "Workspace | None" = None, *, max_bytes: int | None = None
+    ) -> "PairPLR":
+        """The pairs of a map that has changed here and there, far sooner than they are constructed.
+
+        Distances and bounds are as good as those of constructed pairs: all that the change may have an influence on
+        is found anew. Queries are about as quick. After a change of much of the map all is constructed.
+
+        Args:
+            workspace: The map as it is now, such as ``before.with_obstacles(add, remove)``, within the same bounds.
+            before: The map that the pairs are of; None: the one they were constructed or last updated of, in this
+                process.
+            max_bytes: Largest size of the file; None: as when they were constructed, or, of a file, 65,536.
+
+        Returns:
+            The pairs, with the label of these, which stay as they are, also if that is interrupted.
+
+        Raises:
+            ValueError: If the map they are of is not known, or found to be another one than ``before``, the bounds
+                differ, or as for :func:`construct_pairs`.
+        """
+        from plr_jax.pairs.updated import updated_pairs  # which no query needs
+
+        origin = vars(self).get("_origin", MadeOf(before, None))
+        if (before := before or origin.workspace) is None:
+            raise ValueError(
+                "The map that these pairs are of is not known, as of pairs from a file: give the workspace before, "
+                "pairs.updated(workspace, before)."
+            )
+        return updated_pairs(self, workspace, before, origin.max_bytes if max_bytes is None else max_bytes)
+
     def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
         """What a function of the tables and points answers: in parts, on all cores of a CPU."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
@@ -347,16 +277,23 @@ class PairPLR(HeldFile):
         return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
 
 
-def pairs_of_stored(stored: Stored) -> PairPLR:
-    """The PairPLR whose file holds this."""
-    return pairs_from_bytes(stored.to_bytes())
+class MadeOf(NamedTuple):
+    """What pairs were made of, which their file does not hold: the map, and the budget."""
+
+    workspace: "Workspace | None"
+    max_bytes: int | None
+
+
+def pairs_of_stored(stored: Stored, data: bytes, origin: MadeOf | None = None) -> PairPLR:
+    """The PairPLR of what a file holds, whose bytes are these."""
+    pairs = PairPLR(held(data))
+    vars(pairs).update({"stored": stored} if origin is None else {"stored": stored, "_origin": origin})
+    return pairs
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
     """The PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    pairs = PairPLR(held(data))
-    vars(pairs)["stored"] = Stored.from_bytes(data)
-    return pairs
+    return pairs_of_stored(Stored.from_bytes(data), data)
 
 
 @partial(jax.jit, static_argnames="outside")

@@ -307,7 +307,7 @@ def _write_lists(
         is_listed[split] = is_listed[tree.child[split]] | is_listed[tree.child[split] + 1]
     body.write_set(~is_listed[0])
     for split in filter(len, tree.splits):
-        inherited, own = is_listed[np.repeat(split, 2)], is_listed[_halves(tree, split)]
+        inherited, own = is_listed[np.repeat(split, 2)], is_listed[halves_of(tree, split)]
         body.write_set(~own[inherited])
 
 
@@ -321,7 +321,7 @@ def _read_lists(
         place = tree.leaf_of_node[nodes[node]]
         parts.append((place[place >= 0], corner[place >= 0]))
         listed_so_far += len(parts[-1][0])
-        halves = _halves(tree, split)
+        halves = halves_of(tree, split)
         first = np.searchsorted(node, np.arange(len(nodes) + 1))
         parent = np.repeat(np.searchsorted(nodes, split), 2)
         if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
@@ -337,6 +337,6 @@ def _read_lists(
     return leaf[order], listed[order]
 
 
-def _halves(tree: Tree, split: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
+def halves_of(tree: Tree, split: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
     """Both halves of some nodes, side by side."""
     return (tree.child[split][:, None] + np.arange(2)).ravel()

@@ -100,7 +100,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     boxes = cells.grown_boxes(domain)
     receding = RECEDING * width
     walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
-    near = NearWalls.of(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width, listed.shape)
+    near = NearWalls.of(boxes, stored.leaf, stored.listed, points[:-1], walls, _MARGIN * width, listed.shape)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle
     farther = float(np.linalg.norm(proud + middle - stored.points, axis=1).max(initial=0.0))
     x, y = (along[listed] for along in points.T)

@@ -8,9 +8,19 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.convex_pieces import Pieces, areas, clip_to_box, convex_pieces, cut_parts
+from plr_jax.geometry.changes import sees_all
+from plr_jax.geometry.convex_pieces import (
+    Pieces,
+    areas,
+    boxes_as_pieces,
+    clip_to_box,
+    clip_to_boxes,
+    convex_pieces,
+    cut_parts,
+)
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners
 from plr_jax.geometry.shadows import Shadows, shadows_of
+from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
 
 _CHUNK = 1 << 17  # pairs of a piece and a corner at a time, where there are many
@@ -123,6 +133,43 @@ def visible_corners(visibility: CornerVisibility, workspace: Workspace, domain: 
     return VisibleCorners(corners, shadows, 1, np.zeros(pieces.shape[1], int), pieces, piece, corner, by_all)
 
 
+def visible_of_lists(
+    visibility: CornerVisibility,
+    triangulation: Triangulation,
+    boxes: tuple[Float[np.ndarray, "cells 2"], Float[np.ndarray, "cells 2"]],
+    is_listed: Bool[np.ndarray, "cells corners"],
+) -> VisibleCorners:
+    """Those of cells, by their boxes, that may turn first at some of the corners that a list has for each."""
+    pieces, cell, is_whole = _pieces_in(triangulation, *boxes)
+    entry, piece = run_members(np.append(0, np.cumsum(is_listed.sum(axis=1))), cell)
+    corner, by_all = np.nonzero(is_listed)[1][entry], np.zeros(len(piece), bool)
+    # Of most boxes, which are free, all that is asked is whether all of them sees a corner.
+    of_whole = np.flatnonzero(is_whole[piece])
+    hulls = pieces[:, piece[of_whole], :4].transpose(1, 2, 0)
+    by_all[of_whole] = sees_all(visibility.table, corner[of_whole], hulls)
+    shadows = shadows_of(visibility.table)
+    found = VisibleCorners(visibility.corners, shadows, len(is_listed), cell, pieces, piece, corner, by_all)
+    return _settled(found, ~is_whole)
+
+
+def _pieces_in(
+    triangulation: Triangulation, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
+) -> tuple[Pieces, Int[np.ndarray, "pieces"], Bool[np.ndarray, "pieces"]]:
+    """What of triangles lies in each box, box by box; the box of each piece, and whether it is all of it."""
+    whole, locator = boxes_as_pieces(lo, hi), triangulation.locator
+    triangle = locator.find((lo + hi) / 2)
+    is_held = triangle >= 0
+    for x in whole[:, :, :4].T:
+        is_held &= (locator.heights(triangle, x) >= 0).all(axis=1)
+    rest = np.flatnonzero(~is_held)
+    triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
+    pieces, box, _ = clip_to_boxes(triangles, lo[rest], hi[rest])
+    stays = areas(pieces) > 0
+    box = np.concatenate([np.flatnonzero(is_held), rest[box[stays]]])
+    order = np.argsort(box, kind="stable")
+    return np.concatenate([whole[:, is_held], pieces[:, stays]], axis=1)[:, order], box[order], is_held[box[order]]
+
+
 def _settled(found: VisibleCorners, changed: Bool[np.ndarray, "pieces"]) -> VisibleCorners:
     """After corners are left out at which no path from a changed piece turns first, or that none of it sees."""
     may = np.ones(len(found.piece), bool)
@@ -141,9 +188,9 @@ def may_turn(corners: ReflexCorners, pieces: Pieces, corner: Int[np.ndarray, "pi
 
     From elsewhere it cuts off a part of the obstacle, and so no shortest path turns there.
     """
-    x, y = pieces
-    px, py = corners.points[corner].T[:, :, None]
-    above = [wx * (y - py) - wy * (x - px) for wx, wy in (wall[corner].T[:, :, None] for wall in corners.walls)]
-    left = (np.max(above[0], axis=1) >= -corners.slack) & (np.max(above[1], axis=1) >= -corners.slack)
-    right = (np.min(above[0], axis=1) <= corners.slack) & (np.min(above[1], axis=1) <= corners.slack)
+    # Corner by corner of the pieces: NumPy is slow where the last axis is short.
+    x, y = np.ascontiguousarray(pieces.transpose(0, 2, 1)) - corners.points[corner].T[:, None]
+    above = [wx * y - wy * x for wx, wy in (wall[corner].T for wall in corners.walls)]
+    left = (above[0].max(axis=0) >= -corners.slack) & (above[1].max(axis=0) >= -corners.slack)
+    right = (above[0].min(axis=0) <= corners.slack) & (above[1].min(axis=0) <= corners.slack)
     return left | right

@@ -5,6 +5,8 @@ import shapely
 from experiments.living import random_obstacle
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.boundary import RingEdges
+from plr_jax.geometry.changes import may_see, sees_all
+from plr_jax.geometry.corners import corner_visibility
 
 BOUNDS = ((0, 0), (8, 8))
 
@@ -114,3 +116,19 @@ def test_an_oracle_after_a_change_survives_its_file(tmp_path):
     after.save(tmp_path / "after.npz")
     x = np.random.default_rng(0).uniform(0, 8, (200, 2))
     np.testing.assert_array_equal(VisibilityGraph.load(tmp_path / "after.npz")(x), after(x))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_of_polygons_that_are_seen_in_whole_or_not_at_all(seed):
+    rng = np.random.default_rng(seed)
+    workspace = Workspace(BOUNDS, [random_obstacle(rng, "polygon") for _ in range(6)], squeeze=bool(seed % 2))
+    table = corner_visibility(workspace).table
+    view, lo = rng.integers(0, len(table.points), 4000), rng.uniform(0, 7.6, (4000, 2))
+    size = rng.uniform(0.01, 0.4, (4000, 2))
+    hulls = np.stack([lo + size * np.array(corner) for corner in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)
+    some, every = may_see(table, view, hulls), sees_all(table, view, hulls)
+    assert 300 < every.sum() < some.sum() < 3700 and not (every & ~some).any()
+    for _ in range(20):
+        x = lo + size * rng.random((4000, 2))
+        seen = table.sees(view, x) & workspace.is_free(x)
+        assert seen[every].all() and not seen[~some].any()
