@@ -292,17 +292,21 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
     "plr-jax export maze.plr -o include/maze.h --name level_1",
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
     "plr-jax export maze.plr -o maze.h --tables maze.tables",
+    "plr-jax export maze.plr --js -o maze.mjs",
 )
 def export(
     file: FileArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The header to write.", show_default=False)],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write.", show_default=False)],
     goal: GoalOfPairsOption = None,
-    c: Annotated[
-        bool, typer.Option("--c", help="As one header of C99, also valid C++: there is nothing else yet.")
-    ] = True,
+    js: Annotated[
+        bool,
+        typer.Option("--js/--c", help="As one module of JavaScript, or as one header of C99, also valid C++."),
+    ] = False,
     name: Annotated[
         str | None,
-        typer.Option(help="With which all that it defines begins.", show_default="the header's without its ending"),
+        typer.Option(
+            help="With which all that a header defines begins.", show_default="the header's without its ending"
+        ),
     ] = None,
     tables: Annotated[
         Path | None,
@@ -314,26 +318,32 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write a file as code that answers points: without heap, and bit for bit what query prints.
+    """Write a file as code that answers points, bit for bit what query prints, and needs nothing else.
 
     Of pairs, the distance to one goal.
     """
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import load_numpy
 
-    require_writable(output, (".h", ".hpp"), inputs=(file,))
+    require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
     require_writable(tables, (".tables", ".bin"), inputs=(file,))
+    if js and (name is not None or tables is not None):
+        raise ValueError("--name and --tables are for headers of C: a module has its tables, and exports one name.")
     is_of_pairs = _holds_pairs(file)
     if goal is not None and not is_of_pairs:
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
     plr = _to_goal(_loaded(file), file, goal) if is_of_pairs else load_numpy(file)
     if not hasattr(plr, "c_header"):
         raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
-    text = plr.c_header(output.stem if name is None else name, loads_tables=tables is not None)
+    header = output.stem if name is None else name
+    text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)
     write_atomically(output, text.encode())
     if tables is not None:
         write_atomically(tables, data := plr.c_tables())
         typer.echo(f"wrote {output}: {len(text):,} bytes of text, and {tables}: {len(data):,} bytes")
+        return
+    if js:
+        typer.echo(f"wrote {output}: {len(text):,} bytes of text")
         return
     (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
     typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")

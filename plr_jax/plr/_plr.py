@@ -268,6 +268,17 @@ class PLR(HeldFile):
         """
         return self.numpy().c_tables()
 
+    def js_module(self) -> str:
+        """The same as one module of JavaScript, which imports nothing.
+
+        It exports ``distance(x)`` of a point, an array of ``dim`` numbers, and of cones ``waypoint(x)``, an array
+        again. Answers are those of :meth:`numpy` to points of 64 bits, as numbers of JavaScript are, bit for bit.
+
+        Returns:
+            The text of the module.
+        """
+        return self.numpy().js_module()
+
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
         """One function of all robots' PLRs: a batch of joint configurations in one compiled call.

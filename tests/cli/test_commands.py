@@ -81,6 +81,13 @@ def test_export_writes_a_header(plane, tmp_path):
     assert "No such folder" in mistake("export", tmp_path / "none.plr", "--c", "-o", tmp_path / "none" / "a.h")
 
 
+def test_export_writes_a_module(plane, tmp_path):
+    assert "bytes of text" in done("export", plane, "--js", "-o", tmp_path / "maze.mjs")
+    assert (tmp_path / "maze.mjs").read_text() == load(plane).js_module()
+    assert "must end in .mjs" in mistake("export", plane, "--js", "-o", tmp_path / "a.h")
+    assert "--name and --tables are for headers" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
+
+
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory):
     """A file of pairs of the maze, with its label, and one of a small grid."""

@@ -1,8 +1,9 @@
 """The arithmetic of a query, part of the file format: every reader that keeps to it answers alike, bit for bit.
 
-``plr.numpy()`` and ``plr.c_header(name)`` keep to it. So does ``plr(x)`` in 32 bits on a CPU, whatever it is compiled
-into, but that XLA takes numbers below 1e-38 for 0; in a domain far from the origin of points of NumPy alone, whose
-folding and wrapping in 64 bits may be rounded otherwise. The vectors in ``tests/plr/vectors`` hold answers.
+``plr.numpy()``, ``plr.c_header(name)`` and ``plr.js_module()`` keep to it. So does ``plr(x)`` in 32 bits on a CPU,
+whatever it is compiled into, but that XLA takes numbers below 1e-38 for 0; in a domain far from the origin of points
+of NumPy alone, whose folding and wrapping in 64 bits may be rounded otherwise. The vectors in
+``tests/plr/vectors`` hold answers.
 
 All operations are those of IEEE 754, rounded to nearest, none fused, in 32-bit floats unless 64 are named; what is
 written ``a + b + c`` is computed from left to right. What is called a *number* is computed once from the file, in 64

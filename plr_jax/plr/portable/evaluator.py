@@ -17,9 +17,11 @@ from plr_jax.plr.delta.file_delta import patched_file
 from plr_jax.plr.file.container import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.arithmetic import total
-from plr_jax.plr.portable.header import CHeader, PythonWriter
+from plr_jax.plr.portable.header import CHeader
 from plr_jax.plr.portable.loaded_header import LoadedHeader, c_tables
+from plr_jax.plr.portable.module import js_module
 from plr_jax.plr.portable.program import CodedTree, Program
+from plr_jax.plr.portable.text import PythonWriter
 from plr_jax.plr.query.frame import Outside, as_outside
 from plr_jax.plr.query.grid import FRACTION_BITS, spread_bits
 
@@ -310,6 +312,10 @@ class NumpyPLR:
     def c_tables(self) -> bytes:
         """What such a header loads: see :meth:`PLR.c_tables`."""
         return c_tables(self._program)
+
+    def js_module(self) -> str:
+        """The same as one module of JavaScript: see :meth:`PLR.js_module`."""
+        return js_module(self._program)
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Any:
         """Distance at each point.
