@@ -320,7 +320,7 @@ def export(
 ) -> None:
     """Write a file as code that answers points, bit for bit what query prints, and needs nothing else.
 
-    Of pairs, the distance to one goal.
+    Of pairs, the distance to one goal; as JavaScript, without one, that between any two points.
     """
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import load_numpy
@@ -332,8 +332,10 @@ def export(
     is_of_pairs = _holds_pairs(file)
     if goal is not None and not is_of_pairs:
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
-    plr = _to_goal(_loaded(file), file, goal) if is_of_pairs else load_numpy(file)
-    if not hasattr(plr, "c_header"):
+    plr = _loaded(file) if is_of_pairs else load_numpy(file)
+    if is_of_pairs and (goal is not None or not js):
+        plr = _to_goal(plr, file, goal)
+    if not hasattr(plr, "js_module" if js else "c_header"):
         raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
     header = output.stem if name is None else name
     text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)

@@ -15,8 +15,8 @@ from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.outline import Outline
 from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
+from plr_jax.pairs.portable import RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
-from plr_jax.pairs.tables import RECEDING
 from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size

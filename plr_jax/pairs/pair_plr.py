@@ -17,7 +17,9 @@ from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.goals import PreparedGoals, distances_to_corners, ways_to_goals
+from plr_jax.pairs.module import js_pairs_module
 from plr_jax.pairs.one_goal import plr_to
+from plr_jax.pairs.portable import NumpyPairs
 from plr_jax.pairs.query import is_inside, shortest_ways
 from plr_jax.pairs.stored import Stored
 from plr_jax.pairs.tables import PairTables, build_pair_tables
@@ -220,6 +222,24 @@ class PairPLR(HeldFile):
                 "pairs.updated(workspace, before)."
             )
         return updated_pairs(self, workspace, before, origin.max_bytes if max_bytes is None else max_bytes)
+
+    def numpy(self) -> NumpyPairs:
+        """The same in NumPy, by the arithmetic that readers in other languages keep to: see ``pairs/portable.py``."""
+        return NumpyPairs(self.stored)
+
+    def js_module(self) -> str:
+        """The same as one module of JavaScript, which holds the file and imports nothing.
+
+        It exports ``distance(x, y)`` of two points, arrays of two numbers; ``waypoint(x, y)``, where to go straight
+        to from ``x`` towards ``y``; and ``bounds(x, y)``. Answers are those of :meth:`numpy`, bit for bit.
+
+        Returns:
+            The text of the module.
+
+        Raises:
+            ValueError: If the file was cut off before its lists of corners.
+        """
+        return js_pairs_module(self.to_bytes(), self.domain)
 
     def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
         """What a function of the tables and points answers: in parts, on all cores of a CPU."""

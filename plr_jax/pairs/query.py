@@ -21,7 +21,9 @@ import numpy as np
 from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 
+from plr_jax.pairs.portable import crossings, straight_line_of, winding
 from plr_jax.pairs.tables import PairTables, last_bits_of
+from plr_jax.plr.portable.evaluator import ARRAYS
 from plr_jax.plr.query.lookup import lookup
 
 _AT_ONCE = 2**14
@@ -319,18 +321,14 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
     that rounding puts into a wall, or that is in two parts of free space at once where thin walls have moved past one
     another: such a point sees what is on both sides. Nothing but free space is certain where that must not be.
     """
-    (px, py), (qx, qy) = x.T, y.T
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
+    p, q = list(x.T), list(y.T)
+    straight = straight_line_of(ARRAYS, p, q)
 
     def meets(crossed, walls):
         goes_in, goes_out = crossed
-        for ax, ay, bx, by, ex, ey, turn in walls:
-            beside_p, beside_q = ex * py - ey * px - turn, ex * qy - ey * qx - turn
-            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            crosses = beside_p * beside_q < 0
-            goes_in |= crosses & (b_is_left & ~a_is_left)
-            goes_out |= crosses & (a_is_left & ~b_is_left)
+        for wall in walls:
+            inward, outward = crossings(ARRAYS, p, q, straight, wall)
+            goes_in, goes_out = goes_in | inward, goes_out | outward
         return (goes_in, goes_out), None
 
     none = jnp.zeros(x.shape[0], bool)
@@ -340,13 +338,12 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     """Whether points are in what the walls enclose: walls that have changed sides wind around them the other way."""
-    px, py = x.T
+    p = list(x.T)
 
     def winds(turns, walls):
-        for _, ay, _, by, ex, ey, turn in walls:
-            beside = ex * py - ey * px - turn
-            turns += ((ay <= py) & (py < by) & (beside > 0)).astype(int)
-            turns -= ((by <= py) & (py < ay) & (beside < 0)).astype(int)
+        for wall in walls:
+            up, down = winding(ARRAYS, p, wall)
+            turns += up.astype(int) - down.astype(int)
         return turns, None
 
     return jax.lax.scan(winds, jnp.zeros(x.shape[0], int), tables.walls)[0] == 1

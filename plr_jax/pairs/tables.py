@@ -11,14 +11,11 @@ from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.near_walls import NearWalls
 from plr_jax.pairs.occluders import occluders_of
+from plr_jax.pairs.portable import MARGIN, RECEDING, seen_corners, walls_with_sides
 from plr_jax.pairs.stored import Stored, distances_by_rows
 from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
 
-RECEDING = 32 * float(np.finfo(np.float32).eps)
-"""How far walls move back for sight, in widths of the domain: several times what a query rounds."""
-_MARGIN = RECEDING / 4
-"""How near to a hull, in widths of the domain, walls may hide its corner from it: more than a query rounds."""
 _UNROLLED = 16  # walls, or occluders, at a time
 _LEAVES_AT_ONCE = 32
 
@@ -94,19 +91,19 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     distances = _distances_table(stored, size)
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
-    corners = _seen_corners(stored, 1.25 * _MARGIN * width)  # farther than a contact's walls move
+    corners = seen_corners(stored)
     aside = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
     points = np.append(corners - middle, np.full((1, 2), np.inf), axis=0)
     boxes = cells.grown_boxes(domain)
     receding = RECEDING * width
     walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
-    near = NearWalls.of(boxes, stored.leaf, stored.listed, points[:-1], walls, _MARGIN * width, listed.shape)
+    near = NearWalls.of(boxes, stored.leaf, stored.listed, points[:-1], walls, MARGIN * width, listed.shape)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle
     farther = float(np.linalg.norm(proud + middle - stored.points, axis=1).max(initial=0.0))
     x, y = (along[listed] for along in points.T)
     return PairTables(
         partition=partition,
-        walls=_in_groups(_with_sides(walls)),
+        walls=_in_groups(walls_with_sides(walls)),
         occluders=_in_groups(_occluders(stored, receding)),
         near=near,
         x=_in_32_bits(x),
@@ -117,7 +114,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         corners=_in_32_bits(padded(points, size, np.inf)),
         middle=_in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=_in_32_bits(stored.domain.width / 2),
-        proud_walls=_in_groups(_with_sides(stored.outline.moved_walls(-receding) - np.tile(middle, 2))),
+        proud_walls=_in_groups(walls_with_sides(stored.outline.moved_walls(-receding) - np.tile(middle, 2))),
         proud_corners=_in_32_bits(padded(proud, size, np.inf)),
         rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
         unresolved=unresolved_types(stored.domain),
@@ -141,21 +138,8 @@ def _distances_table(stored: Stored, size: int) -> Float[Array, "size size"]:
     return jnp.asarray(distances)
 
 
-def _seen_corners(stored: Stored, distance: float) -> Float[np.ndarray, "corners 2"]:
-    """The corners, those whose walls do not move back a little before them, or what is rounded would hide them."""
-    moved = stored.outline.moved_points(-distance)[stored.corner]
-    return np.where(stored.outline.stays[stored.corner, None], moved, stored.points)
-
-
 def _in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
     return jnp.asarray(values.astype(np.float32))
-
-
-def _with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Walls in 32 bits, and of each what tells on which side of it points are."""
-    ax, ay, bx, by = walls.astype(np.float32).T
-    ex, ey = bx - ax, by - ay
-    return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
 
 
 def _in_groups(rows: Float[np.ndarray, "n 7"]) -> Float[Array, "groups 16 7"]:

@@ -108,7 +108,11 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
         done("plot", path, "--goal", "0.1,0.1", "--kind", kind, "-o", tmp_path / "a.png")
     done("export", points, "--goal", "0.1,0.1", "-o", tmp_path / "maze.h")
     assert (tmp_path / "maze.h").read_text() == load(points).to((0.1, 0.1)).c_header("maze")
+    for goal, module in (([], load(points)), (["--goal", "0.1,0.1"], load(points).to((0.1, 0.1)))):
+        done("export", points, *goal, "--js", "-o", tmp_path / "maze.mjs")
+        assert (tmp_path / "maze.mjs").read_text() == module.js_module()
     for arguments, message in (
+        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, of which no code"),
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
         (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "cells of a grid, of which no code"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),

@@ -4,8 +4,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Generic, TypeVar
 
+import numpy as np
+from jaxtyping import Float
+
 from plr_jax.plr.leaves.base import SourcedLeafModel
-from plr_jax.plr.portable.program import Program
+from plr_jax.plr.portable.program import Program, distinct_rows
 from plr_jax.plr.portable.text import BracedWriter, Text
 
 _WIDTH = 100  # of a line
@@ -22,9 +25,9 @@ class Code(ABC, Generic[W]):
         is_sourced: Whether there are waypoints.
     """
 
-    def __init__(self, program: Program, of_type: str) -> None:
+    def __init__(self, program: Program, of_type: str, numbers: Float[np.ndarray, "leaves count"]) -> None:
         self.program, self.type = program, of_type
-        self.rows, row_of_leaf = program.rows
+        self.rows, row_of_leaf = distinct_rows(numbers)
         self.tree = program.coded_tree(row_of_leaf)
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
 

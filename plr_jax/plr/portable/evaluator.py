@@ -243,7 +243,8 @@ class _OfArrays:
         return x.view(np.uint32) & _FRACTION
 
 
-_ARRAYS = _OfArrays()
+ARRAYS = _OfArrays()
+"""Operations of arrays of NumPy."""
 
 
 class NumpyPLR:
@@ -272,7 +273,7 @@ class NumpyPLR:
         self._program = program = Program.of_file(self._data)
         num_leaves = len(program.cells)
         self._table = LeafTable.of(program.coded_tree(np.arange(num_leaves)))
-        self._numbers = program.numbers[:, program.dim * program.leaf.is_of_cells :]
+        self._numbers = program.numbers_of_leaves
         self._columns = np.ascontiguousarray(self._numbers.T)
         self._cells = np.zeros((num_leaves, 0, 2), np.float32)  # how many cells span the domain, and which it is
         if program.leaf.is_of_cells:
@@ -402,7 +403,7 @@ class NumpyPLR:
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
         """Answers of that shape to points, chunk by chunk."""
-        x = _as_points(x, self.dim)
+        x = as_float_points(x, self.dim)
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and self._program.corner is not None else np.float32
         answers = np.empty((len(flat), *shape), of_type)
@@ -421,14 +422,14 @@ class NumpyPLR:
             points = points.astype(np.float64)
         x = list(np.ascontiguousarray(points.T))
         if points.dtype == np.float64:
-            x = program.wrapped_wide(_ARRAYS, x)
+            x = program.wrapped_wide(ARRAYS, x)
         x = [along.astype(program.precision, copy=False) for along in x]
-        given, inside = x, program.contains(_ARRAYS, x)
+        given, inside = x, program.contains(ARRAYS, x)
         if not (is_inside := inside.all()):
             x = [
                 np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
             ]
-        counted = program.counted(_ARRAYS, x)
+        counted = program.counted(ARRAYS, x)
         answers[...] = self._at_counted(counted, answer)
         if not is_inside:
             x = [along[~inside] for along in given]
@@ -436,22 +437,22 @@ class NumpyPLR:
             if answer == self._waypoints or outside == "nan":
                 others = np.nan
             elif outside == "clamp":
-                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(_ARRAYS, x), answer))
+                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(ARRAYS, x), answer))
             else:
                 others = np.where(is_nan, np.nan, np.inf)
             answers[~inside] = np.reshape(others, (-1, *[1] * (answers.ndim - 1)))
 
     def _at_counted(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers to points of the domain, by columns."""
-        x = self._program.placed(_ARRAYS, counted)
-        above = self._program.above(_ARRAYS, x)
-        return answer(x, above, self._table.rows(self._program.places(_ARRAYS, above)))
+        x = self._program.placed(ARRAYS, counted)
+        above = self._program.above(ARRAYS, x)
+        return answer(x, above, self._table.rows(self._program.places(ARRAYS, above)))
 
     def _at_nearest(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
         is_finite = np.isfinite(counted).all(axis=0)
         counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
-        nearest = self._program.nearest(_ARRAYS, counted)
+        nearest = self._program.nearest(ARRAYS, counted)
         moved = [along - to for along, to in zip(counted, nearest, strict=True)]
         scale = np.abs(moved).max(axis=0)
         scale = np.where(scale > 0, scale, np.float32(1))
@@ -461,7 +462,7 @@ class NumpyPLR:
     def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         numbers = [column[leaf] for column in self._columns]
         cells = [(count[leaf], position[leaf]) for count, position in self._cell_columns]
-        return self._program.value(_ARRAYS, x, above, numbers, cells)
+        return self._program.value(ARRAYS, x, above, numbers, cells)
 
     def _waypoints(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
@@ -494,7 +495,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
 
 
-def _as_points(x: ArrayLike, dim: int) -> np.ndarray:
+def as_float_points(x: ArrayLike, dim: int) -> np.ndarray:
     """Points as an array of 32-bit or 64-bit floats; masked numbers are NaN."""
     x = as_queries(x)
     if x.dtype.name == "bfloat16":  # of which NumPy does not know that they are floats

@@ -62,7 +62,7 @@ class CHeader(Code[CWriter]):
     def __init__(self, program: Program, name: str):
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
-        super().__init__(program, "float" if program.corner is None else "double")
+        super().__init__(program, "float" if program.corner is None else "double", program.numbers_of_leaves)
         self.name = name
         self.helpers: set[str] = set()
 

@@ -1,10 +1,19 @@
 """A PLR as a module of JavaScript, by the same arithmetic as the header of C."""
 
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr._file import Contents
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import as_sourced
+from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.portable.arithmetic import PartitionedAxis, Value, Window
 from plr_jax.plr.portable.code import Code, filled_lines, indented
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import BracedWriter, Text
@@ -43,17 +52,77 @@ class JavaScriptWriter(BracedWriter):
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
+FILE_READER = Path(__file__).with_name("file.js")
+"""Functions that read files, for programs of JavaScript."""
+
+
+def tables_axes(do: JavaScriptWriter) -> list[PartitionedAxis]:
+    """The axes of a domain in the plane whose numbers are in tables of the names that ``file.js`` gives them."""
+    names = ("lo", "scale", "start", "top")
+    return [PartitionedAxis(*(do.atom(f"{name}[{axis}]") for name in names)) for axis in range(2)]
+
+
+class _OfTables(Program):
+    """A query of any cones in the plane: what it computes with has names, as ``readCones`` of ``file.js`` has it."""
+
+    @cached_property
+    def axes(self) -> list[PartitionedAxis]:
+        return tables_axes(JavaScriptWriter())
+
+    @cached_property
+    def windows(self) -> list[Window]:
+        do = JavaScriptWriter()
+        return [Window(do.atom(f"lo[{axis}]"), do.atom(f"hi[{axis}]")) for axis in range(2)]
+
+    def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
+        do = JavaScriptWriter()
+        from_corner = zip(tables_axes(do), as_sourced(self.leaf).source_of(numbers), strict=True)
+        return [
+            do.atom(f"origin[{axis}]", "double") + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)
+        ]
+
+
+def js_cone_reader() -> str:
+    """A function of JavaScript that makes a reader of what ``readCones`` of ``file.js`` gives."""
+    do, leaf = JavaScriptWriter(), leaf_model("cone")
+    cells = Cells.root(2)
+    contents = Contents(Box((0, 0), (1, 1)), leaf, levels_of(cells)[0], cells, None)
+    origin = [do.atom(f"origin[{axis}]", "double") for axis in range(2)]
+    program = _OfTables(contents, contents.domain, origin, contents.domain, np.zeros((1, 3), np.float32))
+    names = "lo, hi, scale, start, top, origin, tree, root, numbers"
+    lines = [
+        f"const {{ {names} }} = tables, place = new Uint32Array(2);",
+        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), "root").functions()),
+        "return { distance, waypoint, bounds };",
+    ]
+    return "\n".join(function("function coneReader(tables)", lines))
+
+
 def js_module(program: Program) -> str:
     """The module of a PLR: see :meth:`PLR.js_module`."""
-    module = _Module(program)
+    certificate = program.contents.certificate
+    module = _Module(program, None if certificate is None else certificate.bounds())
     return "\n".join([*module.introduction(), *module.tables(), *module.functions()])
 
 
 class _Module(Code[JavaScriptWriter]):
-    """The parts of a module."""
+    """The parts of a module.
 
-    def __init__(self, program: Program) -> None:
-        super().__init__(program, "double")
+    Args:
+        program: What a query computes.
+        band: What is to be added to values for lower and upper bounds, of each leaf or of all; None if nothing is
+            proven.
+        root: The name of the root's code; None if it is that of the program's tree.
+    """
+
+    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, root: str | None = None) -> None:
+        columns = program.numbers_of_leaves
+        if band is not None:
+            both = np.broadcast_to(band.T.astype(np.float32), (len(columns), 2))
+            columns = np.column_stack([columns, both])
+        super().__init__(program, "double", columns)
+        self.is_proven, self.is_split = band is not None, root is not None or len(self.tree.children) > 0
+        self.root = root or str(self.tree.root)
 
     def writer(self) -> JavaScriptWriter:
         """Of a function."""
@@ -65,12 +134,14 @@ class _Module(Code[JavaScriptWriter]):
         if program.dim > 3:
             names = f"[{', '.join(f'x{axis}' for axis in range(program.dim))}]"
         waypoint = f"// waypoint({names}): where to go straight to from a point; NaN outside the domain."
+        bounds = f"// bounds({names}): proven bounds of the distance where the goal can be reached, [lower, upper]."
         return [
             f"// The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
             "//",
             f"// distance({names}): distance from a point {ends_of(program.domain)};",
             "// Infinity outside this closed domain, NaN where a coordinate is. It knows no obstacles.",
             *([waypoint] if self.is_sourced else []),
+            *([bounds] if self.is_proven else []),
             "// Answers are those of plr.numpy() to points of 64 bits, bit for bit.",
             "",
         ]
@@ -78,8 +149,8 @@ class _Module(Code[JavaScriptWriter]):
     def tables(self) -> list[str]:
         """The tree, and the numbers of the leaves."""
         tree, dim = self.tree, self.program.dim
-        lines = [ROUNDED]
-        if len(tree.children):
+        lines = [ROUNDED, *([BESIDE] if self.is_proven else [])]
+        if self.is_split:
             largest = max(tree.root, int(tree.children.max()))
             lines += [
                 "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
@@ -100,7 +171,7 @@ class _Module(Code[JavaScriptWriter]):
 
     @property
     def _counts_cells(self) -> bool:
-        return self.program.leaf.is_of_cells and len(self.tree.children) > 0
+        return self.program.leaf.is_of_cells and self.is_split
 
     def functions(self) -> list[str]:
         """The functions."""
@@ -111,12 +182,22 @@ class _Module(Code[JavaScriptWriter]):
             do, waypoint = self.waypoint([f"return [{', '.join(['NaN'] * self.program.dim)}];"])
             do.statements.append(f"return [{', '.join(map(str, waypoint))}];")
             lines += function("export function waypoint(x)", do.used_statements())
+        if self.is_proven:
+            do, value = self.distance("[NaN, NaN]", "[Infinity, Infinity]")
+            below, above = (f"f(value + numbers[n + {self.rows.shape[1] + end}])" for end in (-2, -1))
+            do.statements += [
+                f"const value = {value};",
+                "if (value === Infinity) return [value, value];",
+                f"const lower = beside({below}, false);",
+                f"return [lower > 0 ? lower : 0, beside({above}, true)];",
+            ]
+            lines += function("export function bounds(x)", do.used_statements())
         return lines
 
     def _descent(self) -> list[str]:
         """From places to the leaf's row."""
         tree, of_cells = self.tree, self._counts_cells
-        if not len(tree.children):
+        if not self.is_split:
             return []
         mask = (1 << tree.kind_bits) - 1
         return [
@@ -125,7 +206,7 @@ class _Module(Code[JavaScriptWriter]):
                 "function leaf()",
                 [
                     *(["count.fill(1);", "cell.fill(0);"] * of_cells),
-                    f"let code = {tree.root};",
+                    f"let code = {self.root};",
                     f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
                     "    const upper = place[axis] >>> 31;",
                     "    place[axis] <<= 1;",
@@ -140,11 +221,11 @@ class _Module(Code[JavaScriptWriter]):
     def read_leaf(self, do: JavaScriptWriter, places: list[Text]) -> list[Text]:
         """The first of the leaf's numbers, to which the places lead down the tree."""
         row, width = "0", self.rows.shape[1]
-        if len(self.tree.children):
+        if self.is_split:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(places)]
             row = "leaf()" if width == 1 else f"{width} * leaf()"
         do.statements.append(f"const n = {row};")
-        return [do.atom(f"numbers[n + {i}]" if i else "numbers[n]") for i in range(width)]
+        return [do.atom(f"numbers[n + {i}]" if i else "numbers[n]") for i in range(width - 2 * self.is_proven)]
 
     def cells(self, do: JavaScriptWriter) -> list[tuple[Text, Text]]:
         """Counted on the way down the tree."""
@@ -154,6 +235,16 @@ class _Module(Code[JavaScriptWriter]):
 
 
 ROUNDED = "const f = Math.fround; // each operation is rounded to 32 bits"
+BESIDE = """\
+// The next 32-bit float above a number of 32 bits, or below it.
+const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
+function beside(x, isAbove) {
+    if (x === 0) return isAbove ? 2 ** -149 : -(2 ** -149);
+    if (x !== x || x === (isAbove ? Infinity : -Infinity)) return x;
+    bits[0] = x;
+    whole[0] += x > 0 === isAbove ? 1 : -1;
+    return bits[0];
+}"""
 
 
 def ends_of(domain: Box) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, counted_from, decode
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
-from plr_jax.plr.partition.cells import Cells, tree_of_levels
+from plr_jax.plr.partition.cells import Cells, Level, tree_of_levels
 from plr_jax.plr.portable.arithmetic import (
     Fold,
     Operations,
@@ -95,8 +95,7 @@ class Program:
     @cached_property
     def axes(self) -> list[PartitionedAxis]:
         """The domain that the leaves partition, axis by axis."""
-        rows = (Frame.LO, Frame.SCALE, Frame.START, Frame.TOP)
-        return [PartitionedAxis(*self.frame[list(rows), axis]) for axis in range(self.dim)]
+        return partitioned_axes(self.frame)
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -200,27 +199,29 @@ class Program:
         corner = self.frame[Frame.LO] if self.corner is None else self.corner
         return [lo + along for lo, along in zip(corner, as_sourced(self.leaf).source_of(numbers), strict=True)]
 
-    @cached_property
-    def rows(self) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
-        """The different numbers that leaves have, without those of their cells, and which are each leaf's."""
-        numbers = self.numbers[:, self.dim * self.leaf.is_of_cells :]
-        _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
-        rank = np.argsort(np.argsort(first))
-        return numbers[np.sort(first)], rank[row.ravel()]
+    @property
+    def numbers_of_leaves(self) -> Float[np.ndarray, "leaves count"]:
+        """The numbers without those of cells."""
+        return self.numbers[:, self.dim * self.leaf.is_of_cells :]
 
     def coded_tree(self, row_of_leaf: Int[np.ndarray, "leaves"]) -> "CodedTree":
         """The tree, whose leaves are rows of a table."""
-        tree = tree_of_levels(self.contents.levels, self.dim)
-        inner = np.flatnonzero(tree.child >= 0)
-        index = np.full(len(tree.child), -1)
-        index[inner] = np.arange(len(inner))
-        index[tree.node_of_leaf] = row_of_leaf
-        kind = np.where(tree.child >= 0, tree.axis, self.dim)
-        code = (index << self.dim.bit_length()) | kind
-        children = code[tree.child[inner][:, None] + np.arange(2)]
-        return CodedTree(
-            self.dim, int(code[0]), children, tree.axis[inner], tree.cells.depth[inner, tree.axis[inner]]
-        )
+        return CodedTree.of(self.contents.levels, self.dim, row_of_leaf)
+
+
+def distinct_rows(
+    numbers: Float[np.ndarray, "leaves count"],
+) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
+    """The different rows of 32-bit numbers, in the order in which they come first, and which is each one."""
+    _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))
+    return numbers[np.sort(first)], rank[row.ravel()]
+
+
+def partitioned_axes(frame: Float[np.ndarray, "7 dim"]) -> list[PartitionedAxis]:
+    """The domain of a frame that leaves partition, axis by axis."""
+    rows = [Frame.LO, Frame.SCALE, Frame.START, Frame.TOP]
+    return [PartitionedAxis(*along) for along in frame[rows].T]
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +244,18 @@ class CodedTree:
     children: Int[np.ndarray, "splits 2"]
     axis: Int[np.ndarray, "splits"]
     depth: Int[np.ndarray, "splits"]
+
+    @staticmethod
+    def of(levels: list[Level], dim: int, row_of_leaf: Int[np.ndarray, "leaves"]) -> "CodedTree":
+        """That of levels, whose leaves are rows of a table."""
+        tree = tree_of_levels(levels, dim)
+        inner = np.flatnonzero(tree.child >= 0)
+        index = np.full(len(tree.child), -1)
+        index[inner] = np.arange(len(inner))
+        index[tree.node_of_leaf] = row_of_leaf
+        code = (index << dim.bit_length()) | np.where(tree.child >= 0, tree.axis, dim)
+        children = code[tree.child[inner][:, None] + np.arange(2)]
+        return CodedTree(dim, int(code[0]), children, tree.axis[inner], tree.cells.depth[inner, tree.axis[inner]])
 
     @property
     def kind_bits(self) -> int:

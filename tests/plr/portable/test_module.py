@@ -9,8 +9,8 @@ from portable_helpers import CASES, case, hard_points, same_bits
 from vectors import read_vector, vector_names
 
 from experiments._js_modules import NodeModule
-from plr_jax import load
-from plr_jax.plr.portable.module import JavaScriptWriter, single
+from plr_jax import VisibilityGraph, construct, from_bytes, load, progressive, scenes
+from plr_jax.plr.portable.module import BESIDE, FILE_READER, ROUNDED, JavaScriptWriter, js_cone_reader, single
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -29,6 +29,8 @@ def test_answers_are_those_of_numpy(name, tmp_path):
     if plr.leaf.name == "cone":
         waypoints = f.waypoint(x)
         assert same_bits(in_node(x, "waypoint", plr.dim), waypoints.astype(np.float64))
+    if f.max_error is not None:
+        assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
 
 
 @pytest.mark.parametrize("name", vector_names())
@@ -43,8 +45,33 @@ def test_vectors_are_answered_bit_for_bit(name, tmp_path):
     assert same_bits(found, load(path).numpy()(x.astype(np.float64)))
 
 
+@pytest.mark.parametrize("name", ["maze of cones", "far cones", "file of prefixes"])
+def test_files_of_cones_are_read_and_answered(name, tmp_path):
+    """By a program that is of no file, from the bytes of one."""
+    plr = _of_prefixes() if name == "file of prefixes" else case(name)
+    text = "\n".join([ROUNDED, BESIDE, FILE_READER.read_text(), js_cone_reader()])
+    for layer, held in enumerate([*(from_bytes(plr.to_bytes()[:mark]) for mark in plr.file_marks), plr]):
+        file = f"Uint8Array.from({list(plr.to_bytes())})"
+        opened = f"(file => coneReader(readCones(file, file.layers[{layer}])))(readContainer({file}))"
+        in_node = NodeModule(f"{text}\nexport const {{ distance, waypoint, bounds }} = {opened};", tmp_path)
+        x, f = hard_points(plr, 2_000).astype(np.float64), held.numpy()
+        assert same_bits(in_node(x)[:, 0], f(x).astype(np.float64))
+        assert same_bits(in_node(x, "waypoint", 2), f.waypoint(x).astype(np.float64))
+        if f.max_error is not None:
+            bounds = np.stack(f.bounds(x), axis=1).astype(np.float64)
+            assert same_bits(in_node(x, "bounds", 2), bounds)
+
+
+def _of_prefixes():
+    problem = scenes.maze()
+    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+    certified = {"leaf": "cone", "certified": True}
+    parts = [construct(oracle, problem.workspace.bounds, max_bytes=m, **certified) for m in (200, 400)]
+    return progressive(parts)
+
+
 def test_it_imports_and_exports_what_it_says():
-    for name, exported in (("maze of cones", {"distance", "waypoint"}), ("car", {"distance"})):
+    for name, exported in (("maze of cones", {"distance", "waypoint", "bounds"}), ("car", {"distance"})):
         text = case(name).js_module()
         assert set(re.findall(r"^export function (\w+)", text, re.MULTILINE)) == exported
         assert not re.search(r"\bimport\b|\brequire\b|https?:", text)
@@ -53,7 +80,7 @@ def test_it_imports_and_exports_what_it_says():
 def test_decimals_are_read_as_the_same_number():
     rng = np.random.default_rng(0)
     numbers = rng.integers(0, 2**31, 20_000, dtype=np.uint32).view(np.float32)
-    numbers = np.append(numbers[~np.isnan(numbers)], np.float32([0.1, -0.0, np.inf]))
+    numbers = np.append(numbers[~np.isnan(numbers)], np.array([0.1, -0.0, np.inf], np.float32))
     for number in numbers:
         read = np.float32(float(single(number).replace("Infinity", "inf")))
         assert same_bits(read, number) and len(single(number)) < 24

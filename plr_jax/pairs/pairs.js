@@ -1,0 +1,234 @@
+// Reads files of pairs as plr_jax/pairs/stored.py says, and answers by the arithmetic of plr_jax/pairs/portable.py.
+
+const EPS = 2 ** -23, RECEDING = 32 * EPS, MARGIN = RECEDING / 4, MOST_CORNERS = 8192;
+
+function readOutline(body, origin) {
+    const step = body.float64();
+    if (!(step > 0 && step < Infinity)) fail(`its points are ${step} apart`);
+    const maySqueeze = body.read(1) === 1, rings = body.read(32), sizes = body.coded(rings), first = [0];
+    sizes.forEach(size => { if (size < 3) fail("it has a ring of fewer than three points"); first.push(first[first.length - 1] + size); });
+    if (!rings) fail("it has no ring of points");
+    const count = first[rings], points = [0, 1].map(() => { let at = 0; return body.signed(count).map(gap => at += gap); });
+    const following = Int32Array.from(points[0], (_, i) => i + 1);
+    for (let ring = 0; ring < rings; ring++) following[first[ring + 1] - 1] = first[ring];
+    const seen = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
+    points[0].forEach((_, i) => seen.set(name(i), (seen.get(name(i)) || 0) + 1));
+    const stays = Array.from(points[0], (_, i) => !maySqueeze && seen.get(name(i)) > 1);
+    const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
+    return { points, first, following, stays, x: at[0], y: at[1] };
+}
+
+// The outline's points after all walls have moved so far back, or into free space if negative.
+function movedPoints({ points, following, stays, x, y }, distance) {
+    const count = x.length, nx = new Float64Array(count), ny = new Float64Array(count), before = new Int32Array(count);
+    for (let i = 0; i < count; i++) {
+        const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i], length = Math.sqrt(dx * dx + dy * dy);
+        before[next] = i;
+        if (points[0][i] !== points[0][next] || points[1][i] !== points[1][next]) { nx[i] = -dy / length; ny[i] = dx / length; }
+    }
+    const moved = [new Float64Array(count), new Float64Array(count)];
+    for (let i = 0; i < count; i++) {
+        const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
+        let mx = (nx[i] + bx) / along, my = (ny[i] + by) / along;
+        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx * mx + my * my), 1e-12));
+        const share = distance > 0 && stays[i] ? 1 / 16 : 1;
+        moved[0][i] = x[i] - distance * (mx * shorter * share);
+        moved[1][i] = y[i] - distance * (my * shorter * share);
+    }
+    return moved;
+}
+
+// The corners that each leaf lists.
+function readLists(body, { levels, child, index, leaves }, count, most) {
+    const out = new Set(body.members(count)), lists = new Array(leaves);
+    let inherited = new Map([[0, Array.from({ length: count }, (_, i) => i).filter(corner => !out.has(corner))]]), entries = 0;
+    for (const splits of levels) {
+        for (const [node, list] of inherited) if (child[node] < 0) { lists[index[node]] = list; entries += list.length; }
+        const size = splits.reduce((sum, node) => sum + 2 * inherited.get(node).length, 0), next = new Map();
+        if (entries + size > most) fail("its lists have more entries than a file of its size ought to");
+        const members = splits.length ? body.members(size) : [];
+        let at = 0, k = 0;
+        for (const node of splits) for (const half of [child[node], child[node] + 1]) {
+            next.set(half, inherited.get(node).filter(() => members[k] !== at++ || (k++, false)));
+        }
+        inherited = next;
+    }
+    return lists;
+}
+
+// The pair of a number among all pairs i < j, in order of j, then i.
+function pairOf(number) {
+    let j = Math.floor((1 + Math.sqrt(1 + 8 * number)) / 2);
+    if (j * (j - 1) / 2 > number) j--; else if (j * (j + 1) / 2 <= number) j++;
+    return [number - j * (j - 1) / 2, j];
+}
+
+// What the reader of pairs is made of: see pairsReader.
+function readPairs({ domain, layers }, fileBytes) {
+    if (layers.some(layer => layer.leaf !== PAIRS || layer.proof)) fail("its pairs have proofs, or layers of other kinds");
+    const [body, ...others] = layers.map(layer => new BitReader(layer.body));
+    const width = Math.max(...domain.hi.map((hi, axis) => hi - domain.lo[axis]));
+    if (width > 1e18) fail(`its domain is ${width} wide, more than 1e18`);
+    const error = from => { const rounding = from.float32(); return rounding >= 0 && rounding < Infinity ? rounding : fail(`its distances err by ${rounding}`); };
+    let rounding = error(body);
+    const outline = readOutline(body, domain.lo), corner = body.members(outline.x.length), count = corner.length;
+    if (count > MOST_CORNERS) fail(`it has ${count} corners; at most ${MOST_CORNERS} are read`);
+    const joined = from => Array.from(from.members(count * (count - 1) / 2), pairOf);
+    let edges;
+    if (!body.isAtEnd()) edges = joined(body);
+    else if (others.length) { rounding = error(others[0]); edges = joined(others.shift()); }
+    else fail("it was cut off behind its outline: which of its corners see one another is not in it");
+    if (others.length !== 1) fail("it was cut off before its lists of corners");
+    const tree = readTree(others[0]);
+    if (tree.leaves > Math.max(1, 2 ** 24 / Math.max(1, count))) fail(`it has ${tree.leaves} leaves, more than tables are made of`);
+    const lists = readLists(others[0], tree, count, Math.max(2 ** 20, 64 * fileBytes));
+    if (!others[0].isAtEnd()) fail("it holds more data than its leaves need");
+
+    const middle = domain.lo.map((lo, axis) => (lo + domain.hi[axis]) / 2);
+    const half = domain.lo.map((lo, axis) => (domain.hi[axis] - lo) / 2);
+    const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
+    const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
+    const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
+    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => outline.stays[i] ? nudged[axis][i] : at[axis][k]));
+    const free = proud.map(along => Float64Array.from(corner, i => along[i]));
+    const scene = ([cx, cy], distance) => {
+        const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
+        const walls = new Float32Array(7 * wx.length);
+        wx.forEach((ax, i) => {
+            const j = outline.following[i], ex = f(wx[j] - ax), ey = f(wy[j] - wy[i]);
+            walls.set([ax, wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * ax))], 7 * i);
+        });
+        return { walls, isCertain: distance < 0, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) };
+    };
+    const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
+    const rounds = 16 * EPS * Math.max(...reach), neighbors = Array.from(corner, () => []);
+    for (const [i, j] of edges) {
+        const dx = at[0][i] - at[0][j], dy = at[1][i] - at[1][j], length = Math.sqrt(dx * dx + dy * dy);
+        neighbors[i].push([j, length]);
+        neighbors[j].push([i, length]);
+    }
+    return {
+        ...frameOf(...[domain.lo, domain.hi].map(end => end.map((along, axis) => along - middle[axis]))),
+        ...tree, middle, lists, neighbors, corners: count,
+        seen: scene(seen, RECEDING * width), free: scene(free, -RECEDING * width), outline,
+        less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
+    };
+}
+
+// Distances from a corner to all, over those that are joined, in 64 bits, and rounded.
+function distancesFrom(source, neighbors) {
+    const distance = new Float64Array(neighbors.length).fill(Infinity), heap = [[0, source]];
+    distance[source] = 0;
+    while (heap.length) {
+        const [way, node] = heap[0], last = heap.pop();
+        if (heap.length) {
+            let at = 0;
+            for (let child = 1; child < heap.length; child = 2 * at + 1) {
+                if (child + 1 < heap.length && heap[child + 1][0] < heap[child][0]) child++;
+                if (heap[child][0] >= last[0]) break;
+                heap[at] = heap[child];
+                at = child;
+            }
+            heap[at] = last;
+        }
+        if (way > distance[node]) continue;
+        for (const [next, length] of neighbors[node]) {
+            if (way + length >= distance[next]) continue;
+            distance[next] = way + length;
+            let at = heap.push([distance[next], next]) - 1;
+            for (; at && heap[(at - 1) >> 1][0] > distance[next]; at = (at - 1) >> 1) heap[at] = heap[(at - 1) >> 1];
+            heap[at] = [distance[next], next];
+        }
+    }
+    return Float32Array.from(distance);
+}
+
+// Functions of two points, of what readPairs gives.
+function pairsReader(tables) {
+    const { lo, scale, start, top, tree, root, lists, neighbors, middle, hi, seen, free, less, more } = tables;
+    const place = new Uint32Array(2), rows = [];
+    const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
+
+{{arithmetic}}
+
+    function leafOf(px, py) {
+        place[0] = placeX(px);
+        place[1] = placeY(py);
+        let code = root;
+        for (let axis = code & 3; axis !== 2; axis = code & 3) {
+            const upper = place[axis] >>> 31;
+            place[axis] <<= 1;
+            code = tree[2 * (code >>> 2) + upper];
+        }
+        return code >>> 2;
+    }
+
+    // The shortest way among what is in a scene: its length, and its first and last corner, -1 if it is straight.
+    function way(scene, px, py, qx, qy) {
+        if (!hides(scene, px, py, qx, qy)) return [legLength(px, py, qx, qy), -1, -1];
+        const of = [lists[leafOf(px, py)], lists[leafOf(qx, qy)]];
+        const legs = [[px, py], [qx, qy]].map(([x, y], end) => of[end].map(corner => legLength(x, y, scene.x[corner], scene.y[corner])));
+        const sight = of.map(list => new Int8Array(list.length)); // 1: is seen, -1: is not, 0: not known
+        const sees = (end, k) => {
+            const x = end ? qx : px, y = end ? qy : py, corner = of[end][k];
+            return (sight[end][k] || (sight[end][k] = hides(scene, x, y, scene.x[corner], scene.y[corner]) ? -1 : 1)) > 0;
+        };
+        for (;;) { // strike corners off that a point does not see, of the shortest ways first
+            let best = Infinity, first = -1, last = -1;
+            for (let i = 0; i < of[0].length; i++) {
+                if (sight[0][i] < 0) continue;
+                const distances = row(of[0][i]);
+                for (let j = 0; j < of[1].length; j++) {
+                    if (sight[1][j] < 0) continue;
+                    const length = f(legs[0][i] + f(legs[1][j] + distances[of[1][j]]));
+                    if (length < best) { best = length; first = i; last = j; }
+                }
+            }
+            if (first < 0) return [Infinity, -1, -1];
+            const isSeen = sees(0, first);
+            if (sees(1, last) && isSeen) return [best, of[0][first], of[1][last]];
+        }
+    }
+
+    // Points counted from the middle, that with the smaller coordinates first; or what is answered instead.
+    function counted(x, y) {
+        const p = [f(x[0] - middle[0]), f(x[1] - middle[1])], q = [f(y[0] - middle[0]), f(y[1] - middle[1])];
+        if ([...p, ...q].some(along => along !== along)) return NaN;
+        if ([p, q].some(point => Math.abs(point[0]) > hi[0] || Math.abs(point[1]) > hi[1])) return Infinity;
+        return p[0] > q[0] || (p[0] === q[0] && p[1] > q[1]) ? [q, p, true] : [p, q, false];
+    }
+
+    function distance(x, y) {
+        const points = counted(x, y);
+        return typeof points === "number" ? points : way(seen, ...points[0], ...points[1])[0];
+    }
+
+    function bounds(x, y) {
+        const points = counted(x, y);
+        if (typeof points === "number") return [points, points];
+        const [p, q] = points, isClear = encloses(free, ...p) && encloses(free, ...q);
+        const lower = f(f(f(1 - 16 * EPS) * way(seen, ...p, ...q)[0]) - less);
+        return [lower < 0 ? 0 : lower, isClear ? f(f(f(1 + 16 * EPS) * way(free, ...p, ...q)[0]) + more) : Infinity];
+    }
+
+    // The shortest way as a list of points, both ends with it; null where there is none.
+    function path(x, y) {
+        const points = counted(x, y);
+        if (typeof points === "number") return null;
+        let [length, at, last] = way(seen, ...points[0], ...points[1]);
+        if (length === Infinity) return null;
+        const corners = [], distances = last < 0 ? [] : row(last);
+        for (; at >= 0 && corners.length <= tables.corners; ) {
+            corners.push([seen.x[at] + middle[0], seen.y[at] + middle[1]]);
+            if (at === last) break;
+            at = neighbors[at].reduce((best, [next, leg]) => leg + distances[next] < best[1] ? [next, leg + distances[next]] : best, [-1, Infinity])[0];
+        }
+        if (points[2]) corners.reverse();
+        return [x, ...corners, y];
+    }
+
+    // Where to go straight to from a point towards another one; NaN where no way leads.
+    function waypoint(x, y) { return (path(x, y) || [0, [NaN, NaN]])[1]; }
+
+    return { distance, waypoint, bounds, path, way, hides, legLength, leafOf, row, encloses };
+}

@@ -1,0 +1,99 @@
+"""Pairs in NumPy and in JavaScript: alike to the bit, and near what JAX answers."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+from pair_helpers import MAZE, WALL, exact, two_batches
+
+from experiments._js_modules import NodeModule
+from plr_jax import Workspace, construct_pairs
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.plr.file.container import Header
+
+_OF_ROWS = """
+export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));
+export const waypointOfRow = z => waypoint(z.slice(0, 2), z.slice(2));
+export const boundsOfRow = z => bounds(z.slice(0, 2), z.slice(2));
+"""
+FAR = Workspace(
+    ((5e5, 4e6), (5e5 + 100, 4e6 + 60)),
+    [[(5e5 + 30, 4e6), (5e5 + 40, 4e6), (5e5 + 40, 4e6 + 45.5), (5e5 + 30, 4e6 + 45.5)]],
+)
+TOUCHING = Workspace(((0, 0), (10, 10)), [[(2, 2), (5, 2), (5, 5), (2, 5)], [(5, 5), (8, 5), (8, 8), (5, 8)]])
+SQUEEZED = Workspace(TOUCHING.bounds, TOUCHING.obstacles, squeeze=True)
+
+
+@pytest.fixture(scope="module", params=["maze", "wall", "far", "touching", "squeezed"])
+def workspace(request):
+    return {"maze": MAZE, "wall": WALL, "far": FAR, "touching": TOUCHING, "squeezed": SQUEEZED}[request.param]
+
+
+@pytest.fixture(scope="module")
+def pairs(workspace):
+    return construct_pairs(workspace, max_bytes=600)
+
+
+def ends(pairs, n=1500):
+    """Pairs of points, everywhere, on a coarse lattice, outside, alike, and some of no number."""
+    rng, domain = np.random.default_rng(0), pairs.domain
+    x = domain.lo + domain.width * rng.uniform(-0.05, 1.05, (2, n, 2))
+    x[:, : n // 3] = domain.lo + domain.width * rng.integers(0, 21, (2, n // 3, 2)) / 20
+    x[1, ::50] = x[0, ::50]
+    x[0, 5], x[1, 6, 1], x[0, 7] = np.nan, np.inf, domain.hi
+    return x
+
+
+def test_distances_are_exact_in_free_space(workspace, pairs):
+    x, y = two_batches(workspace, 300)
+    f, scale = pairs.numpy(), workspace.bounds.width.max()
+    np.testing.assert_allclose(f(x, y), exact(workspace, x, y), atol=3e-6 * scale)
+    lower, upper = f.bounds(x, y)
+    truth = exact(workspace, x, y)
+    assert (lower <= truth).all() and (truth <= upper).all() and np.isfinite(upper).mean() > 0.95
+    farthest = np.abs([workspace.bounds.lo, workspace.bounds.hi]).max()
+    assert (lower >= truth - 1e-5 * scale - 3e-6 * farthest).all()
+
+
+def test_answers_are_those_of_jax_but_for_rounding(workspace, pairs):
+    f, (x, y), scale = pairs.numpy(), ends(pairs), workspace.bounds.width.max()
+    found, theirs = f(x, y), np.asarray(pairs(x, y))
+    assert np.array_equal(f(y, x), found, equal_nan=True)
+    assert np.array_equal(np.isnan(found), np.isnan(theirs))
+    is_free = workspace.is_free(x) & workspace.is_free(y)  # of others answers mean nothing
+    is_outside = ((x < pairs.domain.lo) | (x > pairs.domain.hi)).any(axis=1)
+    assert np.isinf(found[is_outside & ~np.isnan(found)]).all() and is_outside.any()
+    np.testing.assert_allclose(found[is_free], theirs[is_free], rtol=0, atol=1e-6 * scale)
+    assert f(x[10], y[10]) == found[10] and f(x[:0], y[:0]).shape == (0,)
+    assert f(x[20:23, None], y[None, 30:34]).shape == (3, 4)
+
+
+def test_a_module_answers_alike_to_the_bit(pairs, tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("modules are run where there is Node, as node")
+    x, y = ends(pairs)
+    rows, f, text = np.concatenate([x, y], axis=1), pairs.numpy(), pairs.js_module()
+    assert not re.search(r"\bimport\b|\brequire\b|https?:", text)
+    module = NodeModule(text + _OF_ROWS, tmp_path)
+    assert np.array_equal(module(rows, "distanceOfRow")[:, 0], f(x, y), equal_nan=True)
+    for found, expected in zip(module(rows, "boundsOfRow", 2).T, f.bounds(x, y), strict=True):
+        assert np.array_equal(found, expected, equal_nan=True)
+    # Straight on to where it says, and from there: as long, in all.
+    is_free = np.isfinite(f(x, y)) & np.isfinite(f.bounds(x, y)[1])
+    x, y = x[is_free], y[is_free]
+    onward = module(np.concatenate([x, y], axis=1), "waypointOfRow", 2)
+    legs = np.linalg.norm(onward - x, axis=1) + f(onward, y)
+    np.testing.assert_allclose(legs, f(x, y), atol=1e-5 * pairs.domain.width.max())
+
+
+def test_what_it_refuses():
+    pairs = construct_pairs(WALL, max_bytes=600)
+    f, data = pairs.numpy(), pairs.to_bytes()
+    for bad in ([1, 2, 3], 5.0, ["a", "b"]):
+        with pytest.raises(ValueError, match="Points must"):
+            f(bad, [1, 2])
+    with pytest.raises(ValueError, match="must broadcast"):
+        f(np.zeros((2, 2)), np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="cut off before its lists"):
+        pairs_from_bytes(data[: Header.read(data).marks[0]]).js_module()
