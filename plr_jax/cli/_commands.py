@@ -3,7 +3,6 @@
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
 
-import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command, printable, saying, warn
 from plr_jax.cli._build import build_file, prepared_oracle
 from plr_jax.cli._facts import facts_of, lines_of
+from plr_jax.cli._held import file_holds_pairs, goal_of_pairs, loaded
 from plr_jax.cli._inputs import DEFAULT_BYTES, LEAVES, PICTURES, parse_goal, require_writable
 from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
@@ -221,7 +221,7 @@ def query(
     from plr_jax.plr import NumpyPLR, load_numpy
 
     require_standard_output()
-    plr = _PairsOfRows(_loaded(file)) if (is_of_pairs := _holds_pairs(file)) else load_numpy(file)
+    plr = _PairsOfRows(loaded(file)) if (is_of_pairs := file_holds_pairs(file)) else load_numpy(file)
     columns: list[Callable[[np.ndarray], Any]] = [plr]
     if gradient and is_of_pairs:
         raise ValueError(f"--gradient is for PLRs, and {file} holds pairs.")
@@ -235,21 +235,6 @@ def query(
     with table:
         chunks = PointTable(name, plr.dim, strict).chunks(table)
         print_answers(np.column_stack([column(x) for column in columns]) for x in chunks)
-
-
-def _holds_pairs(file: Path) -> bool:
-    from plr_jax.plr.file.container import holds_pairs, read_bytes
-
-    try:
-        return holds_pairs(read_bytes(file))
-    except ValueError:  # which whoever reads it tells better
-        return False
-
-
-def _loaded(file: Path) -> Any:
-    from plr_jax._io import load  # and with it JAX, which PLRs are answered without
-
-    return load(file)
 
 
 @dataclass(frozen=True)
@@ -285,77 +270,6 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
         return np.where(np.isnan(x).any(axis=1, keepdims=True), np.nan, found)
 
     return answers
-
-
-@command(
-    "plr-jax export maze.plr -o plr_maze.h",
-    "plr-jax export maze.plr -o include/maze.h --name level_1",
-    "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
-    "plr-jax export maze.plr -o maze.h --tables maze.tables",
-    "plr-jax export maze.plr --js -o maze.mjs",
-)
-def export(
-    file: FileArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write.", show_default=False)],
-    goal: GoalOfPairsOption = None,
-    js: Annotated[
-        bool,
-        typer.Option("--js/--c", help="As one module of JavaScript, or as one header of C99, also valid C++."),
-    ] = False,
-    name: Annotated[
-        str | None,
-        typer.Option(
-            help="With which all that a header defines begins.", show_default="the header's without its ending"
-        ),
-    ] = None,
-    tables: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the tables apart (.tables, .bin), for the header to load: of a map that changes they are "
-            "written again, and nothing is compiled again.",
-            show_default="in the header",
-        ),
-    ] = None,
-) -> None:
-    """Write a file as code that answers points, bit for bit what query prints, and needs nothing else.
-
-    Of pairs, the distance to one goal; as JavaScript, without one, that between any two points.
-    """
-    from plr_jax._atomic import write_atomically
-    from plr_jax.plr import load_numpy
-
-    require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
-    require_writable(tables, (".tables", ".bin"), inputs=(file,))
-    if js and (name is not None or tables is not None):
-        raise ValueError("--name and --tables are for headers of C: a module has its tables, and exports one name.")
-    is_of_pairs = _holds_pairs(file)
-    if goal is not None and not is_of_pairs:
-        raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
-    plr = _loaded(file) if is_of_pairs else load_numpy(file)
-    if is_of_pairs and (goal is not None or not js):
-        plr = _to_goal(plr, file, goal)
-    if not hasattr(plr, "js_module" if js else "c_header"):
-        raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
-    header = output.stem if name is None else name
-    text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)
-    write_atomically(output, text.encode())
-    if tables is not None:
-        write_atomically(tables, data := plr.c_tables())
-        typer.echo(f"wrote {output}: {len(text):,} bytes of text, and {tables}: {len(data):,} bytes")
-        return
-    if js:
-        typer.echo(f"wrote {output}: {len(text):,} bytes of text")
-        return
-    (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
-    typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
-
-
-def _to_goal(pairs: "PairPLR | GridPairs", file: Path, goal: str | None) -> Any:
-    """The distance to the goal by the pairs in a file."""
-    if goal is None:
-        raise ValueError(f"{file} holds the distance between any two points: give one with --goal X,Y.")
-    return pairs.to(parse_goal(goal))
 
 
 @command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
@@ -419,7 +333,7 @@ def plot(
     require_writable(output, PICTURES, inputs=(file, map))
     held = load(file)
     is_of_pairs = not isinstance(held, PLR)
-    plr = _to_goal(held, file, goal) if is_of_pairs else held
+    plr = goal_of_pairs(held, file, goal) if is_of_pairs else held
     if plr.domain.dim != 2:
         raise ValueError(
             f"{file} has {plr.domain.dim} axes, of which no plane is chosen here: see plr_jax.plot.slices."

@@ -35,7 +35,8 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import Stored, distances_by_rows
 from plr_jax.plr.portable.arithmetic import Operations, Point, Value, length
-from plr_jax.plr.portable.evaluator import ARRAYS, LeafTable, as_float_points
+from plr_jax.plr.portable.evaluator import ARRAYS, as_float_points
+from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.program import CodedTree, partitioned_axes
 from plr_jax.plr.query.frame import Frame, frame_of
 
@@ -107,8 +108,8 @@ class Surroundings:
         """Whether walls are between points."""
         hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
-            ends = [list(end[first : first + step].T[:, :, None]) for end in (p, q)]
-            crossed = crossings(ARRAYS, *ends, straight_line_of(ARRAYS, *ends), list(self.walls.T))
+            a, b = (list(end[first : first + step].T[:, :, None]) for end in (p, q))
+            crossed = crossings(ARRAYS, a, b, straight_line_of(ARRAYS, a, b), list(self.walls.T))
             goes_in, goes_out = (each.any(axis=1) for each in crossed)
             hidden[first : first + step] = goes_in | goes_out if self.is_certain else goes_in & goes_out
         return hidden

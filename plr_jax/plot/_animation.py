@@ -1,6 +1,5 @@
 """Paths in motion: GIFs, and pages that play them."""
 
-import html
 import io
 import json
 import math
@@ -10,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import shapely
 from jaxtyping import Float, Integer, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -21,7 +19,19 @@ from plr_jax._arrays import as_finite, as_number
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
-from plr_jax.plot._page import INK, new_axes
+from plr_jax.plot._html import (
+    BORDER,
+    PLAY,
+    document,
+    framed,
+    obstacles_path,
+    part,
+    pixel_scale,
+    pixels,
+    view_box,
+    view_of,
+)
+from plr_jax.plot._page import new_axes
 from plr_jax.plot._paths import (
     Timeline,
     add_body,
@@ -37,39 +47,35 @@ from plr_jax.plot._paths import (
     outline,
     timeline,
 )
-from plr_jax.plot._plane import OBSTACLE, blocked_polygons, plot_workspace
+from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots.robot import placed
 
-# A page that plays a path: one file, nothing loaded from elsewhere.
+# A page that plays a path.
 
 
-_SIZE = 520.0  # pixels along the longer side of the bounds, before the browser scales them
-_BORDER, _CONTROLS, _PADDING = 2.0, 28, 6
+_CONTROLS, _PADDING = 28, 6
 HOLD = 1.2  # seconds between the end and the next round
 _SMALLEST_NUMBERED = 10.0  # pixels across a body that carries a number
+_CONTROLS_OF_TIME = f"""<div class="controls">
+  {PLAY}
+  <input id="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
+  <output id="clock"></output>
+</div>"""
 
 
-def page(problem: Problem, motion: Timeline, seconds: float) -> str:
+def player(problem: Problem, motion: Timeline, seconds: float) -> str:
     """The page as HTML."""
-    template = Path(__file__).with_name("player.html").read_text(encoding="utf-8")
-    filled = {
-        "robots": str(len(problem.robots)),
-        "ink": INK,
-        "obstacle": OBSTACLE,
-        "svg": _svg(problem, motion),
-        "motion": json.dumps(_motion(problem, motion, seconds), separators=(",", ":")),
-    }
-    for name, value in filled.items():
-        template = template.replace("{{" + name + "}}", value)
-    return template
+    told = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
+    body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
+    script = part("clock.js") + part("player.js").replace("{{motion}}", told)
+    return document(f"Path of {len(problem.robots)} robots", part("player.css"), body, script)
 
 
 def embedded(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """The page in a frame of its own, so that many fit on one page and none sees the others."""
-    width, height = _SIZE * problem.workspace.bounds.width / problem.workspace.bounds.width.max() + 2 * _BORDER
-    size = f'width="{width + 2 * _PADDING:.0f}" height="{height + 2 * _PADDING + _CONTROLS:.0f}"'
-    source = html.escape(page(problem, motion, seconds))
-    return f'<iframe srcdoc="{source}" {size} sandbox="allow-scripts" style="border:0;max-width:100%"></iframe>'
+    """The page in a frame."""
+    bounds = problem.workspace.bounds
+    width, height = pixel_scale(bounds) * bounds.width + 2 * (BORDER + _PADDING)
+    return framed(player(problem, motion, seconds), width, height + _CONTROLS)
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
@@ -80,7 +86,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     return {
         "seconds": seconds,
         "hold": HOLD,
-        "view": {"scale": _scale(problem), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])},
+        "view": view_of(bounds),
         "duration": motion.duration,
         "times": [_number(share, 6) for share in motion.times / motion.duration],
         "steps": [
@@ -99,38 +105,20 @@ def _number(value: float, digits: int) -> float | int:
     return int(rounded) if rounded == int(rounded) else rounded
 
 
-def _scale(problem: Problem) -> float:
-    return _SIZE / float(problem.workspace.bounds.width.max())
-
-
 def _svg(problem: Problem, motion: Timeline) -> str:
     """Everything at its place at time 0; the script moves what moves."""
-    width, height = _scale(problem) * problem.workspace.bounds.width
+    bounds = problem.workspace.bounds
+    width, height = pixel_scale(bounds) * bounds.width
     robots = range(len(problem.robots))
     frame = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
-    parts = [_obstacles(problem), frame]
+    obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
+    parts = [obstacles, frame]
     parts += [_track(problem, motion, i, "track") for i in robots]
     parts += [_goal(problem, i) for i in robots]
     parts += [_track(problem, motion, i, "trail") for i in robots]
     parts += [_robot(problem, i) for i in robots]
-    box = f"{-_BORDER:g} {-_BORDER:g} {width + 2 * _BORDER:.1f} {height + 2 * _BORDER:.1f}"
     label = f"{len(problem.robots)} robots move from their starts to their goals"
-    return f'<svg viewBox="{box}" role="img" aria-label="{label}">\n' + "\n".join(parts) + "\n</svg>"
-
-
-def _pixels(problem: Problem, points: Float[np.ndarray, "n 2"]) -> str:
-    """Points in pixels, y downward."""
-    bounds = problem.workspace.bounds
-    x, y = _scale(problem) * (points[:, 0] - bounds.lo[0]), _scale(problem) * (bounds.hi[1] - points[:, 1])
-    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
-
-
-def _obstacles(problem: Problem) -> str:
-    rings = []
-    for polygon in blocked_polygons(problem.workspace):
-        for ring in (polygon.exterior, *polygon.interiors):
-            rings.append(f"M{_pixels(problem, shapely.get_coordinates(ring)[:-1])}Z")
-    return f'<path d="{"".join(rings)}" class="obstacle" fill-rule="evenodd"/>'
+    return f'<svg viewBox="{view_box(bounds)}" role="img" aria-label="{label}">\n' + "\n".join(parts) + "\n</svg>"
 
 
 def _line(i: int) -> str:
@@ -140,23 +128,28 @@ def _line(i: int) -> str:
 
 def _track(problem: Problem, motion: Timeline, i: int, kind: str) -> str:
     name = f' id="trail{i}" stroke-dasharray="0 1"' if kind == "trail" else ""
-    points = _pixels(problem, motion.configurations[:, i, :2])
+    points = pixels(problem.workspace.bounds, motion.configurations[:, i, :2])
     return f'<polyline class="{kind}"{name} {_line(i)} points="{points}"/>'
 
 
 def _goal(problem: Problem, i: int) -> str:
     robot, q, bounds = problem.robots[i], problem.goals[i], problem.workspace.bounds
-    points = _pixels(problem, outline(robot, q, bounds))
+    points = pixels(bounds, outline(robot, q, bounds))
     shape = f'<polygon class="halo" points="{points}"/><polygon class="goal" {_line(i)} points="{points}"/>'
     if robot.dof == 2:
         return shape
-    ahead = _pixels(problem, placed(robot, front(robot, bounds), q))
+    ahead = pixels(bounds, placed(robot, front(robot, bounds), q))
     return f'{shape}<polyline class="front" {_line(i)} points="{ahead}"/>'
 
 
 def _robot(problem: Problem, i: int) -> str:
     """A robot about the origin: what turns with it, and its number, which stays upright."""
-    robot, scale, color, bounds = problem.robots[i], _scale(problem), color_of(i), problem.workspace.bounds
+    robot, scale, color, bounds = (
+        problem.robots[i],
+        pixel_scale(problem.workspace.bounds),
+        color_of(i),
+        problem.workspace.bounds,
+    )
     radius = scale * drawn_rounding(robot, bounds)
     if robot.core.any():
         points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
@@ -217,7 +210,7 @@ class Animation:
         if ending == ".gif":
             write_atomically(path, _gif(self))
         elif ending == ".html":
-            write_atomically(path, page(self.problem, self.motion, self.seconds).encode())
+            write_atomically(path, player(self.problem, self.motion, self.seconds).encode())
         else:
             raise ValueError(f"An animation is written as .gif or .html, got {str(path)!r}.")
 

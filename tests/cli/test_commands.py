@@ -123,6 +123,16 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     assert "holds      GridPairs\n" in done("info", grid)
 
 
+def test_view_writes_a_page(maze, pairs, tmp_path):
+    (points, grid), page = pairs, tmp_path / "a.html"
+    assert "open it in a browser" in done("view", maze, "maze", "-o", page)
+    assert page.read_text(encoding="utf-8") == plr_jax.plot.page(load(maze), scenes.maze().workspace).html
+    done("view", points, "-o", page)
+    assert page.read_text(encoding="utf-8") == plr_jax.plot.page(load(points)).html
+    assert "shows a PLR or pairs of points" in mistake("view", grid, "-o", page)
+    assert "must end in .html" in mistake("view", maze, "-o", tmp_path / "a.png")
+
+
 def test_info_is_told_to_programs_as_well(maze, pairs):
     plr, facts = load(maze), json.loads(done("info", maze, "--json"))
     assert facts["num_leaves"] == plr.num_leaves and facts["max_error"] == plr.max_error and facts["hi"] == [1, 1]
@@ -245,6 +255,6 @@ def test_the_package_runs_as_a_module():
 
 
 def test_help_has_an_example_and_the_version_is_that_of_the_package():
-    for command in ([], ["build"], ["query"], ["export"], ["info"], ["plot"], ["plan"], ["demo"]):
+    for command in ([], ["build"], ["query"], ["export"], ["view"], ["info"], ["plot"], ["plan"], ["demo"]):
         assert f"plr-jax {command[0] if command else 'demo'}" in done(*command, "--help")
     assert done("--version") == f"plr-jax {plr_jax.__version__}\n"

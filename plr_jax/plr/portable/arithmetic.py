@@ -103,12 +103,12 @@ class Fold:
 
 @dataclass(frozen=True)
 class PartitionedAxis:
-    """The domain that leaves partition, along one axis, in 32-bit numbers: see :class:`Frame`."""
+    """The domain that leaves partition, along one axis, in 32-bit numbers, or their names: see :class:`Frame`."""
 
-    lo: np.float32
-    scale: np.float32
-    start: np.float32
-    top: np.float32
+    lo: Any
+    scale: Any
+    start: Any
+    top: Any
 
     def above(self, x: Value) -> Value:
         """How far a coordinate is from the domain's rounded lower corner."""

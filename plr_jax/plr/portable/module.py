@@ -87,12 +87,12 @@ def js_cone_reader() -> str:
     do, leaf = JavaScriptWriter(), leaf_model("cone")
     cells = Cells.root(2)
     contents = Contents(Box((0, 0), (1, 1)), leaf, levels_of(cells)[0], cells, None)
-    origin = [do.atom(f"origin[{axis}]", "double") for axis in range(2)]
+    origin: Any = [do.atom(f"origin[{axis}]", "double") for axis in range(2)]
     program = _OfTables(contents, contents.domain, origin, contents.domain, np.zeros((1, 3), np.float32))
     names = "lo, hi, scale, start, top, origin, tree, root, numbers"
     lines = [
         f"const {{ {names} }} = tables, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), "root").functions()),
+        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), is_split=True).functions()),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(function("function coneReader(tables)", lines))
@@ -112,17 +112,17 @@ class _Module(Code[JavaScriptWriter]):
         program: What a query computes.
         band: What is to be added to values for lower and upper bounds, of each leaf or of all; None if nothing is
             proven.
-        root: The name of the root's code; None if it is that of the program's tree.
+        is_split: Whether there is a tree; None if that of the program says it.
     """
 
-    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, root: str | None = None) -> None:
+    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, is_split: bool | None = None) -> None:
         columns = program.numbers_of_leaves
         if band is not None:
             both = np.broadcast_to(band.T.astype(np.float32), (len(columns), 2))
             columns = np.column_stack([columns, both])
         super().__init__(program, "double", columns)
-        self.is_proven, self.is_split = band is not None, root is not None or len(self.tree.children) > 0
-        self.root = root or str(self.tree.root)
+        self.is_proven = band is not None
+        self.is_split = len(self.tree.children) > 0 if is_split is None else is_split
 
     def writer(self) -> JavaScriptWriter:
         """Of a function."""
@@ -158,6 +158,7 @@ class _Module(Code[JavaScriptWriter]):
                 f"const tree = new Uint{16 if largest < 2**16 else 32}Array([",
                 *filled_lines(map(str, tree.children.ravel().tolist())),
                 "]);",
+                f"const root = {tree.root};",
                 f"const place = new Uint32Array({dim});",
                 *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * self._counts_cells),
             ]
@@ -206,7 +207,7 @@ class _Module(Code[JavaScriptWriter]):
                 "function leaf()",
                 [
                     *(["count.fill(1);", "cell.fill(0);"] * of_cells),
-                    f"let code = {self.root};",
+                    "let code = root;",
                     f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
                     "    const upper = place[axis] >>> 31;",
                     "    place[axis] <<= 1;",

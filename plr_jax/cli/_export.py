@@ -1,0 +1,134 @@
+"""The commands that write a distance function as a program: export, view."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from plr_jax.cli._app import command
+from plr_jax.cli._held import file_holds_pairs, goal_of_pairs, loaded
+from plr_jax.cli._inputs import require_writable
+from plr_jax.cli._maps import read_map_of_file
+from plr_jax.cli._options import (
+    DropSpecksOption,
+    FileArgument,
+    GoalOfPairsOption,
+    PolygonsOption,
+    RadiusOption,
+    ResolutionOption,
+    ThresholdOption,
+)
+
+
+@command(
+    "plr-jax export maze.plr -o plr_maze.h",
+    "plr-jax export maze.plr -o include/maze.h --name level_1",
+    "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
+    "plr-jax export maze.plr -o maze.h --tables maze.tables",
+    "plr-jax export maze.plr --js -o maze.mjs",
+)
+def export(
+    file: FileArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write.", show_default=False)],
+    goal: GoalOfPairsOption = None,
+    js: Annotated[
+        bool,
+        typer.Option("--js/--c", help="As one module of JavaScript, or as one header of C99, also valid C++."),
+    ] = False,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            help="With which all that a header defines begins.", show_default="the header's without its ending"
+        ),
+    ] = None,
+    tables: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the tables apart (.tables, .bin), for the header to load: of a map that changes they are "
+            "written again, and nothing is compiled again.",
+            show_default="in the header",
+        ),
+    ] = None,
+) -> None:
+    """Write a file as code that answers points, bit for bit what query prints, and needs nothing else.
+
+    Of pairs, the distance to one goal; as JavaScript, without one, that between any two points.
+    """
+    from plr_jax._atomic import write_atomically
+    from plr_jax.plr import load_numpy
+
+    require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
+    require_writable(tables, (".tables", ".bin"), inputs=(file,))
+    if js and (name is not None or tables is not None):
+        raise ValueError("--name and --tables are for headers of C: a module has its tables, and exports one name.")
+    is_of_pairs = file_holds_pairs(file)
+    if goal is not None and not is_of_pairs:
+        raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
+    if is_of_pairs:
+        pairs = loaded(file)
+        plr = pairs if js and goal is None else goal_of_pairs(pairs, file, goal)
+    else:
+        plr = load_numpy(file)
+    if not hasattr(plr, "js_module" if js else "c_header"):
+        raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
+    header = output.stem if name is None else name
+    text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)
+    write_atomically(output, text.encode())
+    if tables is not None:
+        write_atomically(tables, data := plr.c_tables())
+        typer.echo(f"wrote {output}: {len(text):,} bytes of text, and {tables}: {len(data):,} bytes")
+        return
+    if js:
+        typer.echo(f"wrote {output}: {len(text):,} bytes of text")
+        return
+    (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
+    typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
+
+
+@command(
+    "plr-jax view maze.plr",
+    "plr-jax view maze.plr maze -o page.html",
+    "plr-jax view maze.pairs",
+)
+def view(
+    file: FileArgument,
+    map: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[MAP]",
+            help="Draw this map's obstacles; pairs bring their own.",
+            show_default="what FILE was built of",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html"),
+    ] = None,
+    resolution: ResolutionOption = None,
+    threshold: ThresholdOption = None,
+    drop_specks: DropSpecksOption = None,
+    polygons: PolygonsOption = None,
+    radius: RadiusOption = None,
+) -> None:
+    """Write a file as a page for a browser, which shows the distance and answers the pointer, without a network."""
+    from plr_jax.plot import page
+
+    output = output or Path(f"{file.stem}.html")
+    require_writable(output, (".html",), inputs=(file, map))
+    held = loaded(file)
+    reading = {
+        "resolution": resolution,
+        "threshold": threshold,
+        "drop_specks": drop_specks,
+        "polygons": polygons,
+        "radius": radius,
+    }
+    workspace = None
+    if map is not None or not file_holds_pairs(file):
+        label = getattr(held, "label", "")
+        workspace, _ = read_map_of_file(file, label, map, goal=None, is_needed=False, **reading)
+    written = page(held, workspace)
+    written.save(output)
+    typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

@@ -1,0 +1,446 @@
+// A distance function to look at: what is shown is one of openings, { distance, bounds, route, ... } of points.
+const { name, file, modules, walls, box } = {{content}};
+const KINDS = ["planes", "continuous leaves", "smooth leaves", "cones"];
+const COLORS = "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725".split(" ").map(hex => [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16)));
+const MOST_BYTES = 2 ** 26, MOST_LISTED = 512, FINEST = 500, SIZE = 520, SWARM = 80, UNIT = "workspace units";
+const palette = new Uint32Array(256);
+for (let i = 0; i < 256; i++) {
+    const at = i / 255 * (COLORS.length - 1), low = Math.min(COLORS.length - 2, Math.floor(at)), share = at - low;
+    const [r, g, b] = COLORS[low].map((from, k) => Math.round(from + share * (COLORS[low + 1][k] - from)));
+    palette[i] = new Uint32Array(new Uint8Array([r, g, b, 255]).buffer)[0];
+}
+const text = (number, digits = 4) => number === Infinity ? "infinite" : Number.isNaN(number) ? "not a number" : String(Number(number.toPrecision(digits)));
+const pointText = ([x, y]) => `(${text(x)}, ${text(y)})`;
+const between = (a, b, share) => a + share * (b - a);
+const apart = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
+
+// What is open, and what of it is shown.
+let opened = null, layer = 0, view = null, start = [0, 0], goal = [0, 0], values = null, largest = 0, swarm = [];
+const shown = () => opened.layers[layer];
+
+function bytesOf(base64) { return Uint8Array.from(atob(base64), letter => letter.charCodeAt(0)); }
+
+function openFile(bytes, title, drawn) {
+    if (bytes.length > MOST_BYTES) fail(`it has more than ${MOST_BYTES} bytes`);
+    const container = readContainer(bytes), { domain, layers } = container;
+    if (layers[layers.length - 1].leaf === PAIRS) {
+        const tables = readPairs(container, bytes.length), reader = pairsReader(tables);
+        const longest = tables.lists.reduce((most, list) => Math.max(most, list.length), 0);
+        if (longest > MOST_LISTED) fail(`a cell lists ${longest} corners, more than the ${MOST_LISTED} that this page tries at once`);
+        return { ...domain, title, isOfPairs: true, walls: drawn || outlineOf(tables.outline), layers: [{
+            ...reader, ...tables, size: bytes.length, kind: `${tables.corners} corners, ${tables.leaves.toLocaleString("en")} cells`,
+            route: (x, y) => reader.path(x, y),
+        }] };
+    }
+    for (const { leaf } of layers) {
+        if (leaf !== CONE) fail(`it holds ${KINDS[leaf] || `leaves of kind ${leaf}`}, which this page does not read: plr-jax view makes a page of such a file`);
+    }
+    const read = layers.map(each => {
+        const tables = readCones(container, each), { x, y, parent } = tables.sources, reader = coneReader(tables);
+        const nearest = point => x.reduce((best, _, i) => apart([x[i], y[i]], point) < apart([x[best], y[best]], point) ? i : best, 0);
+        const root = nearest([x, y].map(along => along[parent.findIndex((of, i) => of === i)]));
+        return {
+            ...reader, ...tables, size: each.end, kind: `${tables.leaves.toLocaleString("en")} cones`, goal: [x[root], y[root]],
+            route(from) { // to the source of the leaf, and on from parent to parent
+                if (!Number.isFinite(reader.distance(from))) return null;
+                const points = [from];
+                for (let at = nearest(reader.waypoint(from)); ; at = parent[at]) {
+                    points.push([x[at], y[at]]);
+                    if (parent[at] === at) return points;
+                }
+            },
+        };
+    });
+    return { ...domain, title, layers: read, walls: drawn };
+}
+
+// PLRs of other leaves, whose readers the page holds as code.
+function openModules() {
+    const layers = modules.map(({ read, ...facts }) => {
+        const reader = read();
+        return { ...reader, ...facts, goal: null, isSourced: false, route: from => descent(reader, from) };
+    });
+    return { ...box, title: name, layers, walls };
+}
+
+function outlineOf({ first, x, y }) {
+    const rings = [];
+    for (let ring = 0; ring + 1 < first.length; ring++) {
+        rings.push(Array.from({ length: first[ring + 1] - first[ring] }, (_, i) => [x[first[ring] + i], y[first[ring] + i]]));
+    }
+    return { isFree: true, rings };
+}
+
+// Down the slope, by the best of many directions, never through a wall; farther where nothing near is lower.
+function descent(reader, from) {
+    let at = from, value = reader.distance(from);
+    if (!Number.isFinite(value) || isWall(from)) return null;
+    const step = view.width / 250, points = [from];
+    const isClear = (a, b, parts) => Array.from({ length: parts }, (_, k) => [0, 1].map(axis => between(a[axis], b[axis], (k + 1) / parts))).every(x => !isWall(x));
+    const lower = reach => {
+        let best = value, next = null;
+        for (let k = 0; k < 48; k++) {
+            const ahead = [at[0] + reach * step * Math.cos(k * Math.PI / 24), at[1] + reach * step * Math.sin(k * Math.PI / 24)], there = reader.distance(ahead);
+            if (there < best && isClear(at, ahead, 2 * reach)) { best = there; next = ahead; }
+        }
+        return next;
+    };
+    while (points.length < 2000) {
+        const next = [1, 2, 4, 8, 16, 32].reduce((found, reach) => found || lower(reach), null);
+        if (!next) break;
+        at = next;
+        value = reader.distance(at);
+        points.push(at);
+    }
+    return points;
+}
+
+const shape = document.createElement("canvas").getContext("2d");
+function isWall(point) {
+    if (!view.path) return false;
+    return shape.isPointInPath(view.path, ...toPixels(point), "evenodd") !== view.isFree;
+}
+function toPixels([x, y]) { return [view.scale * (x - view.lo[0]), view.scale * (view.hi[1] - y)]; }
+function ofPixels([right, down]) { return [view.lo[0] + right / view.scale, view.hi[1] - down / view.scale]; }
+
+function look() {
+    const { lo, hi, walls: drawn } = opened, width = hi[0] - lo[0], height = hi[1] - lo[1], scale = SIZE / Math.max(width, height);
+    view = { lo, hi, width: Math.max(width, height), scale, across: scale * width, down: scale * height };
+    const finest = opened.isOfPairs ? Math.min(FINEST, Math.sqrt(64e6 / shown().corners)) : FINEST;
+    view.columns = Math.max(1, Math.round(finest * width / view.width));
+    view.rows = Math.max(1, Math.round(finest * height / view.width));
+    const data = !drawn ? "" : drawn.data || drawn.rings.map(ring => `M${ring.map(point => toPixels(point).map(along => along.toFixed(2)).join(" ")).join("L")}Z`).join("");
+    view.isFree = Boolean(drawn && drawn.isFree);
+    view.path = data ? new Path2D(data) : null;
+    const frame = `M0 0H${view.across}V${view.down}H0Z`;
+    byId("walls").setAttribute("d", view.isFree ? frame + data : data);
+    byId("stage").style.setProperty("--aspect", width / height);
+    byId("marks").setAttribute("viewBox", `0 0 ${view.across} ${view.down}`);
+    for (const [key, value] of [["width", view.across], ["height", view.down]]) byId("frame").setAttribute(key, value);
+    for (const id of ["field", "swarm"]) {
+        const pixels = id === "field" ? [view.columns, view.rows] : [2 * view.across, 2 * view.down];
+        [byId(id).width, byId(id).height] = pixels.map(Math.round);
+    }
+    byId("walled-label").hidden = !data;
+    view.sights = opened.isOfPairs ? sightsOf(shown()) : null;
+}
+
+// Which pixels see a point: those in no wall's shadow.
+function seenFrom([x, y], tables, context) {
+    const { columns, rows } = view, { following, x: wx, y: wy } = tables.outline;
+    const at = ([px, py]) => [(px - view.lo[0]) / (view.hi[0] - view.lo[0]) * columns, (view.hi[1] - py) / (view.hi[1] - view.lo[1]) * rows];
+    context.fillStyle = "#fff";
+    context.fillRect(0, 0, columns, rows);
+    context.fillStyle = "#000";
+    context.beginPath();
+    const far = 4 * Math.max(columns, rows), [cx, cy] = at([x, y]);
+    for (let i = 0; i < wx.length; i++) {
+        const j = following[i];
+        if (Math.min(apart([wx[i], wy[i]], [x, y]), apart([wx[j], wy[j]], [x, y])) < 1e-5 * view.width) continue; // of a corner itself
+        const ends = [at([wx[i], wy[i]]), at([wx[j], wy[j]])], [[ax, ay], [bx, by]] = ends;
+        const [a, b] = (bx - ax) * (cy - ay) < (by - ay) * (cx - ax) ? ends : ends.reverse(); // all shadows turn one way
+        const beyond = ([px, py]) => { const length = Math.hypot(px - cx, py - cy) || 1; return [px + (px - cx) / length * far, py + (py - cy) / length * far]; };
+        const corners = [a, beyond(a), beyond([(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]), beyond(b), b];
+        corners.forEach((corner, k) => k ? context.lineTo(...corner) : context.moveTo(...corner));
+        context.closePath();
+    }
+    context.fill("nonzero");
+    return new Uint32Array(context.getImageData(0, 0, columns, rows).data.buffer);
+}
+const isLit = pixel => (pixel & 255) > 127;
+
+// Of each corner the pixels that see it and whose leaves list it, and how far they are: what no goal changes. They are
+// found while nobody waits; until then those pixels are blank that see no other corner.
+function sightsOf(tables) {
+    const { columns, rows } = view, canvas = document.createElement("canvas"), count = columns * rows;
+    [canvas.width, canvas.height] = [columns, rows];
+    const px = new Float32Array(columns), py = new Float32Array(rows), of = new Uint32Array(count);
+    for (let i = 0; i < columns; i++) px[i] = between(view.lo[0], view.hi[0], (i + 0.5) / columns) - tables.middle[0];
+    for (let j = 0; j < rows; j++) py[j] = between(view.hi[1], view.lo[1], (j + 0.5) / rows) - tables.middle[1];
+    for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) of[pixel] = tables.leafOf(px[i], py[j]);
+    return { px, py, of, corners: [], isListed: new Uint8Array(tables.lists.length), context: canvas.getContext("2d", { willReadFrequently: true }) };
+}
+function addSight(tables, { px, py, of, corners, isListed, context }) {
+    const corner = corners.length, x = tables.seen.x[corner], y = tables.seen.y[corner], { columns } = view;
+    const lit = seenFrom([x + tables.middle[0], y + tables.middle[1]], tables, context), pixels = [];
+    tables.lists.forEach((list, leaf) => { isListed[leaf] = list.includes(corner) ? 1 : 0; });
+    for (let pixel = 0; pixel < lit.length; pixel++) if (isListed[of[pixel]] && isLit(lit[pixel])) pixels.push(pixel);
+    corners.push({ pixels: Uint32Array.from(pixels), legs: Float32Array.from(pixels, pixel => tables.legLength(px[pixel % columns], py[Math.floor(pixel / columns)], x, y)) });
+}
+function addSights(of = view) {
+    if (view !== of) return; // another file is open
+    const tables = shown(), { sights } = view, until = performance.now() + 30;
+    while (sights.corners.length < tables.corners && performance.now() < until) addSight(tables, sights);
+    drawField();
+    if (sights.corners.length < tables.corners) setTimeout(addSights, 0, view); else drawAll();
+}
+
+function fieldOfPairs(tables) {
+    const { corners, context, px, py } = view.sights, { columns, rows } = view;
+    const gx = f(goal[0] - tables.middle[0]), gy = f(goal[1] - tables.middle[1]), toGoal = new Float32Array(tables.corners).fill(Infinity);
+    for (const corner of tables.lists[tables.leafOf(gx, gy)]) {
+        const x = tables.seen.x[corner], y = tables.seen.y[corner];
+        if (tables.hides(tables.seen, gx, gy, x, y)) continue;
+        const leg = tables.legLength(gx, gy, x, y), distances = tables.row(corner);
+        for (let k = 0; k < toGoal.length; k++) { const way = f(leg + distances[k]); if (way < toGoal[k]) toGoal[k] = way; }
+    }
+    const lit = seenFrom(goal, tables, context), found = new Float32Array(columns * rows).fill(Infinity);
+    corners.forEach(({ pixels, legs }, corner) => {
+        const onward = toGoal[corner];
+        if (onward < Infinity) for (let k = 0; k < pixels.length; k++) { const way = legs[k] + onward; if (way < found[pixels[k]]) found[pixels[k]] = way; }
+    });
+    for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) {
+        if (isLit(lit[pixel])) { const dx = px[i] - gx, dy = py[j] - gy; found[pixel] = Math.sqrt(dx * dx + dy * dy); }
+    }
+    return found;
+}
+
+function fieldOfPLR({ distance }) {
+    const { columns, rows, lo, hi } = view, found = new Float32Array(columns * rows), x = [0, 0];
+    for (let j = 0, pixel = 0; j < rows; j++) {
+        x[1] = between(hi[1], lo[1], (j + 0.5) / rows);
+        for (let i = 0; i < columns; i++, pixel++) { x[0] = between(lo[0], hi[0], (i + 0.5) / columns); found[pixel] = distance(x); }
+    }
+    return found;
+}
+
+function niceStep(range) {
+    const power = 10 ** Math.floor(Math.log10(range)), share = range / power;
+    return power * (share < 1.5 ? 1 : share < 3.5 ? 2 : share < 7.5 ? 5 : 10);
+}
+
+function drawField() {
+    values = opened.isOfPairs ? fieldOfPairs(shown()) : fieldOfPLR(shown());
+    const { columns, rows } = view, context = byId("field").getContext("2d"), image = context.createImageData(columns, rows);
+    const colors = new Uint32Array(image.data.buffer);
+    if (!largest || opened.isOfPairs && view.sights.corners.length < shown().corners) largest = values.reduce((most, value) => value < Infinity && value > most ? value : most, 0) || 1;
+    const step = niceStep(largest / 14), times = 255 / largest, isContoured = byId("contoured").checked;
+    for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) {
+        const value = values[pixel];
+        if (!(value < Infinity)) continue;
+        let color = palette[value < 0 ? 0 : value > largest ? 255 : value * times | 0];
+        if (isContoured) {
+            const line = Math.floor(value / step), right = i + 1 < columns ? values[pixel + 1] : value, below = j + 1 < rows ? values[pixel + columns] : value;
+            if (Math.floor(right / step) !== line || Math.floor(below / step) !== line) color = 0xff000000 | (color >> 1 & 0x7f7f7f);
+        }
+        colors[pixel] = color;
+    }
+    context.putImageData(image, 0, 0);
+}
+
+function drawLegend() {
+    byId("colors").style.background = `linear-gradient(to right, ${COLORS.map(rgb => `rgb(${rgb})`).join(", ")})`;
+    const step = niceStep(largest / 14);
+    byId("colors").setAttribute("aria-label", `Colors from dark violet at distance 0 by green to yellow at ${text(largest)} ${UNIT}`);
+    byId("ticks").replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map(share => Object.assign(document.createElement("span"), { textContent: text(share * largest) })));
+    byId("ticks").lastChild.textContent += ` ${UNIT}`;
+    byId("contoured").parentElement.lastChild.textContent = ` Contours, ${text(step)} apart`;
+}
+
+function drawCells() {
+    const { tree, root } = shown(), data = [];
+    if (byId("celled").checked) for (const stack = [[root, 0, 0, 1, 1]]; stack.length; ) {
+        const [code, x0, y0, x1, y1] = stack.pop(), axis = code & 3, at = 2 * (code >>> 2);
+        if (axis === 2) data.push(`M${(x0 * view.across).toFixed(2)} ${((1 - y0) * view.down).toFixed(2)}V${((1 - y1) * view.down).toFixed(2)}H${(x1 * view.across).toFixed(2)}`);
+        else if (axis) stack.push([tree[at], x0, y0, x1, (y0 + y1) / 2], [tree[at + 1], x0, (y0 + y1) / 2, x1, y1]);
+        else stack.push([tree[at], x0, y0, (x0 + x1) / 2, y1], [tree[at + 1], (x0 + x1) / 2, y0, x1, y1]);
+    }
+    byId("cells").setAttribute("d", data.join(""));
+}
+
+function ask() {
+    const { distance, bounds, route } = shown(), ends = opened.isOfPairs ? [start, goal] : [start];
+    const found = distance(...ends), path = Number.isFinite(found) && !isWall(start) ? route(...ends) : null;
+    let says = `From ${pointText(start)} to ${opened.isOfPairs || shown().goal ? pointText(goal) : "the goal"}: `;
+    says += found === Infinity ? "no path is known." : `${text(found)} ${UNIT}.`;
+    if (bounds && found < Infinity) {
+        const [lower, upper] = bounds(...ends);
+        says += upper < Infinity ? ` Proven: between ${text(lower, 7)} and ${text(upper, 7)}, if this is free space.` : ` Proven: at least ${text(lower, 7)}.`;
+    }
+    if (isWall(start)) says += " This is inside a wall, where the number means nothing.";
+    else if (path && shown().isSourced === false) {
+        const long = path.reduce((sum, to, k) => k ? sum + apart(path[k - 1], to) : 0, 0), last = path[path.length - 1];
+        says += apart(last, goal) < view.width / 50 ? ` A path down the slope is ${text(long)} long.` : ` The slope leads no farther than to ${pointText(last)}.`;
+    }
+    else if (path) says += ` The path that the file holds has ${path.length - 1} ${path.length === 2 ? "leg" : "legs"}.`;
+    byId("readout").textContent = says;
+    const points = path ? path.map(point => toPixels(point).map(along => along.toFixed(2)).join(",")).join(" ") : "";
+    for (const id of ["under", "path"]) byId(id).setAttribute("points", points);
+    [["start", start], ["goal", goal]].forEach(([id, point]) => ["cx", "cy"].forEach((key, axis) => byId(id).setAttribute(key, toPixels(point)[axis])));
+}
+
+function describe() {
+    const { kind, size, error } = shown(), proof = error === undefined || error === null ? "nothing is proven of its error" : error < Infinity ? `no error above ${text(error)}, proven` : "of its error only lower bounds are proven";
+    byId("title").textContent = opened.title;
+    byId("facts").textContent = `${size.toLocaleString("en")} bytes; ${kind}; ${opened.isOfPairs ? "exact but for rounding, with proven bounds" : proof}. ${opened.isOfPairs ? "The distance between any two points" : "The distance to the goal"}, around walls, in ${UNIT}.`;
+    const isLayered = opened.layers.length > 1;
+    byId("layers").hidden = !isLayered;
+    if (isLayered) {
+        byId("layer").max = opened.layers.length - 1;
+        byId("layer").value = layer;
+        byId("layer-says").value = `${size.toLocaleString("en")} bytes: ${proof}`;
+    }
+    byId("stage").classList.toggle("draggable", Boolean(opened.isOfPairs));
+    byId("help").textContent = opened.isOfPairs
+        ? "Drag either end; click elsewhere to start a swarm from there. Keys: arrows move the start, with Shift the goal; Enter starts a swarm."
+        : "Point at a place to ask from there; click it to start a swarm. Keys: arrows move the place; Enter starts a swarm.";
+    const { lo, hi } = opened, lattice = [0.1, 0.3, 0.5, 0.7, 0.9], rows = lattice.slice().reverse();
+    byId("words").textContent = `The map reaches from ${pointText(lo)} to ${pointText(hi)}. Distances reach ${text(largest)} ${UNIT}. The goal is at ${pointText(goal)}. Rows of the table go from the upper end of the map to the lower one.`;
+    const cell = (kind, content) => Object.assign(document.createElement(kind), { textContent: content });
+    const line = cells => { const row = document.createElement("tr"); row.append(...cells); return row; };
+    const at = (axis, share) => between(lo[axis], hi[axis], share);
+    const head = line([cell("td", ""), ...lattice.map(share => Object.assign(cell("th", `x ${text(at(0, share))}`), { scope: "col" }))]);
+    byId("table").replaceChildren(byId("table").caption, head, ...rows.map(down => line([
+        Object.assign(cell("th", `y ${text(at(1, down))}`), { scope: "row" }),
+        ...lattice.map(share => { const x = [at(0, share), at(1, down)]; return cell("td", isWall(x) ? "wall" : text(shown().distance(...(opened.isOfPairs ? [x, goal] : [x])))); }),
+    ])));
+}
+
+function lowest() {
+    const at = values.reduce((best, value, pixel) => value < values[best] ? pixel : best, 0);
+    return [between(view.lo[0], view.hi[0], (at % view.columns + 0.5) / view.columns), between(view.hi[1], view.lo[1], (Math.floor(at / view.columns) + 0.5) / view.rows)];
+}
+// A place that is free, near a share of the map.
+function freeNear(shares) {
+    const at = shares.map((share, axis) => between(opened.lo[axis], opened.hi[axis], share));
+    for (let radius = 0; radius < 1; radius += 0.02) for (let turn = 0; turn < 16; turn++) {
+        const place = at.map((along, axis) => along + radius * view.width * (axis ? Math.sin(turn * Math.PI / 8) : Math.cos(turn * Math.PI / 8)));
+        if (place.every((along, axis) => along > opened.lo[axis] && along < opened.hi[axis]) && !isWall(place)) return place;
+    }
+    return at;
+}
+
+function show(content) {
+    const before = [opened, layer, view];
+    try {
+        opened = content;
+        layer = content.layers.length - 1;
+        largest = 0;
+        look();
+        if (content.isOfPairs) goal = freeNear([0.08, 0.08]);
+        if (content.isOfPairs) addSights(); else drawField();
+        if (!content.isOfPairs) goal = shown().goal || lowest();
+        start = freeNear([0.93, 0.93]);
+    } catch (error) {
+        [opened, layer, view] = before;
+        throw error;
+    }
+    byId("celled").checked = false;
+    swarm = [];
+    play(false);
+    drawAll();
+}
+function drawAll() { drawLegend(); drawCells(); describe(); ask(); drawSwarm(); }
+
+function refuse(title, error) {
+    byId("error").hidden = false;
+    byId("error").textContent = `${title} cannot be shown: ${error.message}.`;
+}
+// Opens bytes that someone gives: what is wrong with them is said in words, and what is shown stays.
+function take(bytes, title) {
+    byId("error").hidden = true;
+    try { show(openFile(bytes, title)); } catch (error) { refuse(title, error); }
+}
+async function takeFile(given) {
+    if (!given) return;
+    if (given.size > MOST_BYTES) refuse(given.name, new Error(`it has more than ${MOST_BYTES} bytes`));
+    else take(new Uint8Array(await given.arrayBuffer()), given.name);
+}
+
+// A swarm flows from around a place to the goal.
+function startSwarm(at) {
+    let seed = 1;
+    const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
+    swarm = [];
+    for (let tries = 0; tries < 20 * SWARM && swarm.length < SWARM; tries++) {
+        const radius = 0.05 * view.width * Math.sqrt(random()), turn = 2 * Math.PI * random();
+        const from = [at[0] + radius * Math.cos(turn), at[1] + radius * Math.sin(turn)];
+        const ends = opened.isOfPairs ? [from, goal] : [from];
+        if (isWall(from) || !(shown().distance(...ends) < Infinity)) continue;
+        const path = shown().route(...ends);
+        if (!path) continue;
+        const gone = [0];
+        for (let k = 1; k < path.length; k++) gone.push(gone[k - 1] + apart(path[k - 1], path[k]));
+        swarm.push({ path, gone, way: 0 });
+    }
+    if (isStill) swarm.forEach(one => { one.way = one.gone[one.gone.length - 1]; });
+    drawSwarm();
+    play(!isStill && swarm.length > 0);
+}
+function placeOf({ path, gone, way }) {
+    let k = 1;
+    while (k < gone.length - 1 && gone[k] < way) k++;
+    if (gone.length < 2) return path[0];
+    const share = Math.min(1, (way - gone[k - 1]) / (gone[k] - gone[k - 1] || 1));
+    return [between(path[k - 1][0], path[k][0], share), between(path[k - 1][1], path[k][1], share)];
+}
+function advance(since) {
+    let moves = false;
+    for (const one of swarm) {
+        const end = one.gone[one.gone.length - 1];
+        one.way = Math.min(end, one.way + since * view.width / 4);
+        moves = moves || one.way < end;
+    }
+    drawSwarm();
+    if (!moves) play(false);
+}
+function drawSwarm() {
+    const canvas = byId("swarm"), context = canvas.getContext("2d");
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    context.lineWidth = 2;
+    context.strokeStyle = "#000";
+    context.fillStyle = "#ffd9a0";
+    for (const one of swarm) {
+        const [x, y] = toPixels(placeOf(one));
+        context.beginPath();
+        context.arc(2 * x, 2 * y, 6, 0, 7);
+        context.fill();
+        context.stroke();
+    }
+}
+
+// Hands.
+let dragged = null;
+const stage = byId("stage");
+function placeUnder(event) {
+    const { left, top, width, height } = stage.getBoundingClientRect();
+    return ofPixels([(event.clientX - left) / width * view.across, (event.clientY - top) / height * view.down])
+        .map((along, axis) => Math.min(view.hi[axis], Math.max(view.lo[axis], along)));
+}
+let drawsSoon = false;
+function move(end, place) {
+    if (end === "goal") {
+        goal = place;
+        if (!drawsSoon) { drawsSoon = true; requestAnimationFrame(() => { drawsSoon = false; drawField(); }); }
+    } else start = place;
+    ask();
+}
+stage.addEventListener("pointerdown", event => {
+    const place = placeUnder(event), reach = (event.pointerType === "touch" ? 30 : 16) / stage.clientWidth * view.across / view.scale;
+    if (opened.isOfPairs) dragged = apart(place, start) < reach ? "start" : apart(place, goal) < reach ? "goal" : null;
+    if (dragged) stage.setPointerCapture(event.pointerId);
+    else { if (!opened.isOfPairs) move("start", place); startSwarm(place); }
+});
+stage.addEventListener("pointermove", event => {
+    if (dragged) move(dragged, placeUnder(event));
+    else if (!opened.isOfPairs) move("start", placeUnder(event));
+});
+for (const kind of ["pointerup", "pointercancel"]) stage.addEventListener(kind, () => { if (dragged === "goal") describe(); dragged = null; });
+stage.addEventListener("keydown", event => {
+    const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    if (way) {
+        const end = event.shiftKey && opened.isOfPairs ? "goal" : "start", from = end === "goal" ? goal : start;
+        move(end, from.map((along, axis) => Math.min(view.hi[axis], Math.max(view.lo[axis], along + way[axis] * view.width / 50))));
+    } else if (event.key === "Enter" || event.key === " ") startSwarm(start);
+    else return;
+    event.preventDefault();
+});
+byId("contoured").addEventListener("change", drawField);
+byId("walled").addEventListener("change", event => { byId("walls").style.display = event.target.checked ? "" : "none"; });
+byId("celled").addEventListener("change", drawCells);
+byId("layer").addEventListener("input", event => { layer = +event.target.value; largest = 0; drawField(); drawAll(); });
+byId("file").addEventListener("change", event => takeFile(event.target.files[0]));
+addEventListener("dragover", event => event.preventDefault());
+addEventListener("drop", event => { event.preventDefault(); takeFile(event.dataTransfer.files[0]); });
+
+try { show(file ? openFile(bytesOf(file), name, walls) : openModules()); } catch (error) { refuse(name, error); }
