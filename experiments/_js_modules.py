@@ -10,11 +10,12 @@ from jaxtyping import Float
 
 _DRIVER = """
 import { readFileSync, writeFileSync } from "node:fs";
-const [module, name, dim, width, runs] = process.argv.slice(2);
+const [module, name, ...numbers] = process.argv.slice(2);
+const [dim, width, runs] = numbers.map(Number);
 const answer = (await import(module))[name];
 const bytes = readFileSync("points");
 const points = new Float64Array(bytes.buffer, bytes.byteOffset, bytes.length / 8);
-const count = points.length / dim, answers = new Float64Array(count * width), x = new Float64Array(+dim);
+const count = points.length / dim, answers = new Float64Array(count * width), x = new Float64Array(dim);
 const seconds = [];
 for (let run = 0; run < runs; run++) {
     const began = process.cpuUsage().user;

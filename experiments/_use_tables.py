@@ -265,6 +265,34 @@ def readers(results: dict[str, Any]) -> str:
     )
 
 
+def modules(results: dict[str, Any]) -> str:
+    """What modules of JavaScript answer, and what that costs."""
+    table = formatted(
+        results["bits"]["rows"],
+        *(("JavaScript", "{what}"), ("file", "{file:,}"), ("text", "{text:,}"), ("different", "{different}")),
+        ("ns", "{nanoseconds:.0f}"),
+    )
+    points = f"{results['bits']['points']:,}"
+    return f"{table}\nBytes. Different: of {points} answers each, those that differ from NumPy's by a bit; in Node.\n"
+
+
+def pages(results: dict[str, Any]) -> str:
+    """Pages in Chromium: size, speed, and what damaged files and a check of accessibility come to."""
+    rows, hostile = results["pages"]["rows"], results["hostile"]
+    slowest = hostile["most_seconds"]
+    table = formatted(
+        (row | {"millions": row["queries_a_second"] / 1e6, "found": len(row["violations"] or [])} for row in rows),
+        *(("page", "{what}"), ("bytes", "{bytes:,}"), ("addresses asked for", "{requests}")),
+        *(("million queries / s", "{millions:.3g}"), ("ms to draw 500 x 500", "{redraw_milliseconds:.0f}")),
+        ("violations of axe-core", "{found}"),
+    )
+    return table + (
+        "\nBy the time of a processor that the page's thread takes in Chromium; of pairs, drawn for another goal. "
+        f"Of {hostile['files']:,} damaged files dropped on a page {hostile['refused']:,} were refused in words, "
+        f"{hostile['shown']:,} shown, {hostile['failed']} neither; the slowest took {slowest:.2f} s.\n"
+    )
+
+
 def car(results: dict[str, Any]) -> str:
     """Lengths of Reeds and Shepp's paths in C, beside a table."""
     return formatted(

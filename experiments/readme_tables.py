@@ -94,6 +94,8 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "pictures": (uses.pictures, "maps"),
     "wire": (uses.wire, "wire"),
     "readers": (uses.readers, "portable"),
+    "modules": (uses.modules, "page"),
+    "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
     "edges": (uses.edges, "edges"),
     "continuity": (uses.continuity, "continuity"),

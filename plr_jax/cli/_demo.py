@@ -17,16 +17,18 @@ from plr_jax.cli._app import fail
 from plr_jax.cli._inputs import DEFAULT_BYTES, Heuristic
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
+from plr_jax.pairs import construct_pairs
 from plr_jax.planners import BLOptions
 from plr_jax.plr import PLR, construct
 
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
+_CONE_BYTES = 1024
 _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames: they take longer to draw than the path to find
 
 
 def run(output: Path) -> None:
-    """Build the maze's PLR, measure it beside its oracle, and draw it; plan for four robots, and animate the path."""
+    """Build the maze's PLR, measure it beside its oracle, draw it; plan for four robots, animate the path; pages."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     began = time.perf_counter()
@@ -40,6 +42,9 @@ def run(output: Path) -> None:
     for file in (output / "four_rooms.html", output / "four_rooms.gif"):
         animation.save(file)
         typer.echo(f"  wrote      {file}")
+    pairs = construct_pairs(problem.workspace, max_bytes=DEFAULT_BYTES).with_label("four rooms")
+    plot.page(pairs).save(page := output / "four_rooms_distances.html")
+    typer.echo(f"  wrote      {page}   (drag either end)")
     phases.end("writing")
     _planning.say_seconds(phases, solution)
 
@@ -71,6 +76,9 @@ def _maze(output: Path) -> None:
     typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
 
     _draw(plr, oracle, workspace, goal, output)
+    cones = construct(oracle, workspace.bounds, leaf="cone", max_bytes=_CONE_BYTES, certified=True)
+    plot.page(cones.with_label("maze"), workspace).save(page := output / "maze.html")
+    typer.echo(f"  wrote   {page}   (open it in a browser: the distance in {cones.num_bytes:,} bytes of cones)")
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
 
 

@@ -7,7 +7,16 @@ from plr_jax.geometry.box import Box
 from plr_jax.pairs.portable import crossings, straight_length, straight_line_of, winding
 from plr_jax.plr.file.container import Container, Header
 from plr_jax.plr.portable.code import indented
-from plr_jax.plr.portable.module import BESIDE, FILE_READER, ROUNDED, JavaScriptWriter, ends_of, function, tables_axes
+from plr_jax.plr.portable.module import (
+    BESIDE,
+    FILE_READER,
+    NAMED_NUMBERS,
+    ROUNDED,
+    JavaScriptWriter,
+    ends_of,
+    function,
+    tables_axes,
+)
 from plr_jax.plr.portable.text import Text
 
 _PAIRS_READER = Path(__file__).with_name("pairs.js")
@@ -16,7 +25,7 @@ _PAIRS_READER = Path(__file__).with_name("pairs.js")
 def js_pairs_reader() -> str:
     """Functions of JavaScript that read files of pairs, and make a reader of what they find."""
     text = _PAIRS_READER.read_text(encoding="utf-8")
-    return text.replace("{{arithmetic}}", "\n".join(indented(_arithmetic())))
+    return text.replace("{{numbers}}", NAMED_NUMBERS).replace("{{arithmetic}}", "\n".join(indented(_arithmetic())))
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:

@@ -145,7 +145,8 @@ function distancesFrom(source, neighbors) {
 
 // Functions of two points, of what readPairs gives.
 function pairsReader(tables) {
-    const { lo, scale, start, top, tree, root, lists, neighbors, middle, hi, seen, free, less, more } = tables;
+    {{numbers}}
+    const { tree, root, lists, neighbors, middle, seen, free, less, more } = tables;
     const place = new Uint32Array(2), rows = [];
     const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
 
@@ -194,7 +195,7 @@ function pairsReader(tables) {
     function counted(x, y) {
         const p = [f(x[0] - middle[0]), f(x[1] - middle[1])], q = [f(y[0] - middle[0]), f(y[1] - middle[1])];
         if ([...p, ...q].some(along => along !== along)) return NaN;
-        if ([p, q].some(point => Math.abs(point[0]) > hi[0] || Math.abs(point[1]) > hi[1])) return Infinity;
+        if ([p, q].some(point => Math.abs(point[0]) > hi0 || Math.abs(point[1]) > hi1)) return Infinity;
         return p[0] > q[0] || (p[0] === q[0] && p[1] > q[1]) ? [q, p, true] : [p, q, false];
     }
 

@@ -150,7 +150,7 @@ function seenFrom([x, y], tables, context) {
 const isLit = pixel => (pixel & 255) > 127;
 
 // Of each corner the pixels that see it and whose leaves list it, and how far they are: what no goal changes. They are
-// found while nobody waits; until then those pixels are blank that see no other corner.
+// found while nobody waits; until then pixels are blank whose leaves list corners of which this is not known.
 function sightsOf(tables) {
     const { columns, rows } = view, canvas = document.createElement("canvas"), count = columns * rows;
     [canvas.width, canvas.height] = [columns, rows];
@@ -158,7 +158,7 @@ function sightsOf(tables) {
     for (let i = 0; i < columns; i++) px[i] = between(view.lo[0], view.hi[0], (i + 0.5) / columns) - tables.middle[0];
     for (let j = 0; j < rows; j++) py[j] = between(view.hi[1], view.lo[1], (j + 0.5) / rows) - tables.middle[1];
     for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) of[pixel] = tables.leafOf(px[i], py[j]);
-    return { px, py, of, corners: [], isListed: new Uint8Array(tables.lists.length), context: canvas.getContext("2d", { willReadFrequently: true }) };
+    return { px, py, of, corners: [], isListed: new Uint8Array(tables.lists.length), last: tables.lists.map(list => Math.max(-1, ...list)), context: canvas.getContext("2d", { willReadFrequently: true }) };
 }
 function addSight(tables, { px, py, of, corners, isListed, context }) {
     const corner = corners.length, x = tables.seen.x[corner], y = tables.seen.y[corner], { columns } = view;
@@ -176,7 +176,7 @@ function addSights(of = view) {
 }
 
 function fieldOfPairs(tables) {
-    const { corners, context, px, py } = view.sights, { columns, rows } = view;
+    const { corners, context, px, py, of, last } = view.sights, { columns, rows } = view;
     const gx = f(goal[0] - tables.middle[0]), gy = f(goal[1] - tables.middle[1]), toGoal = new Float32Array(tables.corners).fill(Infinity);
     for (const corner of tables.lists[tables.leafOf(gx, gy)]) {
         const x = tables.seen.x[corner], y = tables.seen.y[corner];
@@ -191,6 +191,7 @@ function fieldOfPairs(tables) {
     });
     for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) {
         if (isLit(lit[pixel])) { const dx = px[i] - gx, dy = py[j] - gy; found[pixel] = Math.sqrt(dx * dx + dy * dy); }
+        else if (last[of[pixel]] >= corners.length) found[pixel] = Infinity;
     }
     return found;
 }

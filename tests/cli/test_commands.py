@@ -234,7 +234,8 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         monkeypatch.setattr(f"plr_jax.cli._demo.{name}", value)
     said = done("demo", "--output", tmp_path / "new" / "folder")
     pictures = ("maze_distance.png", "maze_error.png", "maze_surface.png", "four_rooms.html", "four_rooms.gif")
-    for name in ("maze.plr", *pictures):
+    pages = ("maze.html", "four_rooms_distances.html")
+    for name in ("maze.plr", *pictures, *pages):
         path = tmp_path / "new" / "folder" / name
         assert path.stat().st_size > 0
         assert str(path) in said

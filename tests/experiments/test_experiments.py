@@ -29,6 +29,7 @@ SECTIONED = (
     "costs",
     "volumes",
     "living",
+    "page",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {

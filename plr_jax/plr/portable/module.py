@@ -52,14 +52,18 @@ class JavaScriptWriter(BracedWriter):
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
+_TABLE_BITS = 14  # of a table that fits a core's first-level cache, or nearly so
+_FRAME = ("lo", "hi", "scale", "start", "top")
 FILE_READER = Path(__file__).with_name("file.js")
 """Functions that read files, for programs of JavaScript."""
+NAMED_NUMBERS = "const " + ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in _FRAME) + ";"
+"""The statement of JavaScript that names the numbers of a domain that ``frameOf`` of ``file.js`` gives."""
 
 
 def tables_axes(do: JavaScriptWriter) -> list[PartitionedAxis]:
-    """The axes of a domain in the plane whose numbers are in tables of the names that ``file.js`` gives them."""
+    """The axes of a domain in the plane whose numbers have the names that :data:`NAMED_NUMBERS` gives them."""
     names = ("lo", "scale", "start", "top")
-    return [PartitionedAxis(*(do.atom(f"{name}[{axis}]") for name in names)) for axis in range(2)]
+    return [PartitionedAxis(*(do.atom(f"{name}{axis}") for name in names)) for axis in range(2)]
 
 
 class _OfTables(Program):
@@ -72,13 +76,13 @@ class _OfTables(Program):
     @cached_property
     def windows(self) -> list[Window]:
         do = JavaScriptWriter()
-        return [Window(do.atom(f"lo[{axis}]"), do.atom(f"hi[{axis}]")) for axis in range(2)]
+        return [Window(do.atom(f"lo{axis}"), do.atom(f"hi{axis}")) for axis in range(2)]
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
         do = JavaScriptWriter()
         from_corner = zip(tables_axes(do), as_sourced(self.leaf).source_of(numbers), strict=True)
         return [
-            do.atom(f"origin[{axis}]", "double") + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)
+            do.atom(f"origin{axis}", "double") + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)
         ]
 
 
@@ -87,12 +91,12 @@ def js_cone_reader() -> str:
     do, leaf = JavaScriptWriter(), leaf_model("cone")
     cells = Cells.root(2)
     contents = Contents(Box((0, 0), (1, 1)), leaf, levels_of(cells)[0], cells, None)
-    origin: Any = [do.atom(f"origin[{axis}]", "double") for axis in range(2)]
+    origin: Any = [do.atom(f"origin{axis}", "double") for axis in range(2)]
     program = _OfTables(contents, contents.domain, origin, contents.domain, np.zeros((1, 3), np.float32))
-    names = "lo, hi, scale, start, top, origin, tree, root, numbers"
     lines = [
-        f"const {{ {names} }} = tables, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), is_split=True).functions()),
+        NAMED_NUMBERS,
+        "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
+        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), has_tree=True).functions()),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(function("function coneReader(tables)", lines))
@@ -112,17 +116,17 @@ class _Module(Code[JavaScriptWriter]):
         program: What a query computes.
         band: What is to be added to values for lower and upper bounds, of each leaf or of all; None if nothing is
             proven.
-        is_split: Whether there is a tree; None if that of the program says it.
+        has_tree: Whether there is a tree; None if that of the program says it.
     """
 
-    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, is_split: bool | None = None) -> None:
+    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, has_tree: bool | None = None) -> None:
         columns = program.numbers_of_leaves
         if band is not None:
             both = np.broadcast_to(band.T.astype(np.float32), (len(columns), 2))
             columns = np.column_stack([columns, both])
         super().__init__(program, "double", columns)
         self.is_proven = band is not None
-        self.is_split = len(self.tree.children) > 0 if is_split is None else is_split
+        self.has_tree = len(self.tree.children) > 0 if has_tree is None else has_tree
 
     def writer(self) -> JavaScriptWriter:
         """Of a function."""
@@ -150,7 +154,7 @@ class _Module(Code[JavaScriptWriter]):
         """The tree, and the numbers of the leaves."""
         tree, dim = self.tree, self.program.dim
         lines = [ROUNDED, *([BESIDE] if self.is_proven else [])]
-        if self.is_split:
+        if self.has_tree:
             largest = max(tree.root, int(tree.children.max()))
             lines += [
                 "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
@@ -172,7 +176,7 @@ class _Module(Code[JavaScriptWriter]):
 
     @property
     def _counts_cells(self) -> bool:
-        return self.program.leaf.is_of_cells and self.is_split
+        return self.program.leaf.is_of_cells and self.has_tree
 
     def functions(self) -> list[str]:
         """The functions."""
@@ -196,33 +200,51 @@ class _Module(Code[JavaScriptWriter]):
         return lines
 
     def _descent(self) -> list[str]:
-        """From places to the leaf's row."""
-        tree, of_cells = self.tree, self._counts_cells
-        if not self.is_split:
+        """From places to the leaf's row: down the tree, or, where its cells are not counted, mostly by a table."""
+        if not self.has_tree:
             return []
-        mask = (1 << tree.kind_bits) - 1
+        tree, of_cells, mask = self.tree, self._counts_cells, (1 << self.tree.kind_bits) - 1
+        statements = [
+            *(["count.fill(1);", "cell.fill(0);"] * of_cells),
+            "let code = root;",
+            f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
+            "    const upper = place[axis] >>> 31;",
+            "    place[axis] <<= 1;",
+            *(["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells),
+            f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
+            "}",
+            f"return code >>> {tree.kind_bits};",
+        ]
+        comment = "// Down the tree: each split takes the next bit of the place along its axis."
+        bits = _TABLE_BITS // tree.dim
+        if of_cells or not bits:
+            return [comment, *function("function leaf()", statements)]
+        index = " | ".join(
+            f"place[{axis}] >>> {32 - bits}" + (f" << {above}" if (above := bits * (tree.dim - 1 - axis)) else "")
+            for axis in range(tree.dim)
+        )
         return [
-            "// Down the tree: each split takes the next bit of the place along its axis.",
-            *function(
-                "function leaf()",
-                [
-                    *(["count.fill(1);", "cell.fill(0);"] * of_cells),
-                    "let code = root;",
-                    f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
-                    "    const upper = place[axis] >>> 31;",
-                    "    place[axis] <<= 1;",
-                    *(["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells),
-                    f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
-                    "}",
-                    f"return code >>> {tree.kind_bits};",
-                ],
+            comment,
+            *function("function descend()", statements),
+            f"// Of each cell of a grid, {1 << bits} an axis: one more than the row, or 0 for several leaves.",
+            "// Behind the bits of its place one more is set, the last; none is left if that was taken.",
+            f"const grid = new Uint32Array({1 << bits * tree.dim});",
+            "for (let index = 0; index < grid.length; index++) {",
+            *(
+                f"    place[{axis}] = (index >>> {bits * (tree.dim - 1 - axis)}) << {32 - bits} | {1 << 31 - bits};"
+                for axis in range(tree.dim)
             ),
+            "    const row = descend();",
+            "    grid[index] = place.every(left => left !== 0) ? row + 1 : 0;",
+            "}",
+            "",
+            *function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
         ]
 
     def read_leaf(self, do: JavaScriptWriter, places: list[Text]) -> list[Text]:
         """The first of the leaf's numbers, to which the places lead down the tree."""
         row, width = "0", self.rows.shape[1]
-        if self.is_split:
+        if self.has_tree:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(places)]
             row = "leaf()" if width == 1 else f"{width} * leaf()"
         do.statements.append(f"const n = {row};")
