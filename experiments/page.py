@@ -24,7 +24,7 @@ PAIR_BYTES, CONE_BYTES = {"maze": 1_024, "arena": 16_384}, 1_024
 _WIDER = 1.1  # than the domain, points are drawn from
 _IS_OPEN = "typeof opened === 'object' && opened !== null"
 _IS_DRAWN = f"{_IS_OPEN} && (!opened.isOfPairs || view.sights.corners.length === shown().corners)"
-_PICTURE, _COLORS = (620, 660), 200
+_PICTURE = (480, 625)
 _TESTS = Path(__file__).parent.parent / "tests"
 
 
@@ -180,7 +180,7 @@ def picture(results: dict[str, Any], output: Path) -> list[Path]:
         browser.run("document.body.style.overflow = 'hidden'; startSwarm([0.6, 0.85]); play(false); advance(1.2); 0")
         browser.picture(path)
     with Image.open(path) as image:
-        image.convert("RGB").quantize(_COLORS).save(path, optimize=True)
+        image.convert("RGB").save(path, optimize=True)
     return [path]
 
 
