@@ -246,6 +246,21 @@ def test_pictures_are_those_of_the_theme_and_have_the_colors_of_distances(held, 
     browser.prefer(prefers_color_scheme="light")
 
 
+def test_another_file_is_opened_where_one_is_given(held, browser, tmp_path):
+    opened(browser, page_of(held["cones"]), tmp_path)
+    document = browser.call("DOM.getDocument")["root"]["nodeId"]
+    field = browser.call("DOM.querySelector", nodeId=document, selector="#file")["nodeId"]
+    for name, says in (("pairs", "corners"), ("several", "cones"), ("planes", "cones")):
+        (tmp_path / f"{name}.plr").write_bytes(held[name].to_bytes())
+        browser.call("DOM.setFileInputFiles", nodeId=field, files=[str(tmp_path / f"{name}.plr")])
+        browser.run("new Promise(done => setTimeout(done, 200))")
+        assert says in browser.run('byId("facts").textContent')
+        assert browser.run('byId("error").hidden') == (name != "planes")
+    said = "planes.plr cannot be shown: it holds planes, which this page does not read: plr-jax view makes"
+    assert browser.run('byId("error").textContent').startswith(said)
+    assert browser.run("opened.title") == "several.plr" and not browser.errors
+
+
 def test_damaged_files_are_refused_in_words_and_what_was_shown_stays(held, browser, tmp_path):
     valid = [held[name].to_bytes() for name in ("cones", "several", "pairs", "planes")]
     reader = Reader(lambda path: None, ".plr", lambda: valid, READERS["PLR"].repaired)
