@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from base64 import b64encode
+from importlib import import_module
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -189,8 +190,7 @@ def picture(results: dict[str, Any], output: Path) -> list[Path]:
 
 def hostile(seed: int, smoke: bool) -> dict[str, Any]:
     sys.path.append(str(_TESTS))
-    import hostile_files
-
+    hostile_files = import_module("hostile_files")
     pairs = _pairs(smoke=True)["maze"]
     valid = [_cones(400).to_bytes(), progressive([_cones(200), _cones(400)]).to_bytes(), pairs.to_bytes()]
     valid.append(construct(_waves, ((0, 0), (2, 2)), max_leaves=30).to_bytes())
