@@ -29,6 +29,7 @@ SECTIONED = (
     "costs",
     "volumes",
     "living",
+    "lifelong",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -47,6 +48,7 @@ FAMILIES = {
     "costs": ("--only", "estimates"),
     "volumes": ("--only", "volumes"),
     "living": ("--only", "maps", "doors"),
+    "lifelong": ("--only", "replanned"),
 }
 
 
