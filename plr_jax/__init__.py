@@ -57,7 +57,8 @@ lower, upper = field.bounds(x)
 - `descend` follows a field to its goal (`Descent`, `DescentStatus`), `optimize_paths` shortens a team's path
   (`OptimizedPaths`, `OptimizationInterrupted`), `place` finds the best sites (`Placement`).
 - `bl_plan` plans for a team, with `BLOptions`, led by `zero`, `straight_line` or `sum_of_distances`; it returns a
-  `Solution`, with `Status` and `Stats`. `sba_star_plan` samples; `ompl_objective` leads planners of OMPL.
+  `Solution`, with `Status` and `Stats`; a team that is under way: `replan`; goals that keep coming: `lifelong`, a
+  `LifelongRun`. `sba_star_plan` samples; `ompl_objective` leads planners of OMPL.
 
 # Look: is it right?
 

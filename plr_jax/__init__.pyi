@@ -44,10 +44,13 @@ from .pairs import construct_grid_pairs as construct_grid_pairs
 from .pairs import construct_metric_pairs as construct_metric_pairs
 from .pairs import construct_pairs as construct_pairs
 from .planners import BLOptions as BLOptions
+from .planners import LifelongRun as LifelongRun
 from .planners import Solution as Solution
 from .planners import Stats as Stats
 from .planners import Status as Status
 from .planners import bl_plan as bl_plan
+from .planners import lifelong as lifelong
+from .planners import replan as replan
 from .planners import sba_star_plan as sba_star_plan
 from .planners import straight_line as straight_line
 from .planners import sum_of_distances as sum_of_distances

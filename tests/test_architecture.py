@@ -47,9 +47,11 @@ PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
     ["_options", "_sba_star"],
     ["lattice"],
-    ["best_first", "lacam", "replanning", "smoothing"],
+    ["best_first", "lacam", "replanning", "smoothing", "timetable"],
     ["searches"],
     ["driver"],
+    ["_replan"],
+    ["_lifelong"],
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {

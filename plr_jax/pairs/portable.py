@@ -56,7 +56,7 @@ def straight_line_of(do: Operations, p: Point, q: Point) -> Point:
     return [dx, dy, do.let("moment", dx * p[1] - dy * p[0])]
 
 
-def crossings(do: Operations, p: Point, q: Point, line: Point, wall: Point) -> tuple[Value, Value]:
+def crossings(do: Operations, p: Point, q: Point, line: Point, wall: Any) -> tuple[Value, Value]:
     """Whether lines between points cross walls, going in, and going out; walls are as :func:`walls_with_sides`."""
     (px, py), (qx, qy), (dx, dy, moment), (ax, ay, bx, by, ex, ey, turn) = p, q, line, wall
     crosses = do.let("crosses", (ex * py - ey * px - turn) * (ex * qy - ey * qx - turn) < 0)
@@ -64,7 +64,7 @@ def crossings(do: Operations, p: Point, q: Point, line: Point, wall: Point) -> t
     return crosses & (of_b >= moment) & (of_a < moment), crosses & (of_a >= moment) & (of_b < moment)
 
 
-def winding(do: Operations, p: Point, wall: Point) -> tuple[Value, Value]:
+def winding(do: Operations, p: Point, wall: Any) -> tuple[Value, Value]:
     """Whether walls go up, and down, on the right of points."""
     (px, py), (_, ay, _, by, ex, ey, turn) = p, wall
     beside = do.let("beside", ex * py - ey * px - turn)

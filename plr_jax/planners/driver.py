@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -143,7 +144,8 @@ class _Run:
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
         if self.options.cost_factor < math.inf:
             self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
-        options, step, weight = self.options, self.options.step or self._first_step(), self.options.heuristic_weight
+        options, weight = self.options, self.options.heuristic_weight
+        step = options.step or first_step(self.problem, len(options.primitives), self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
@@ -303,17 +305,17 @@ class _Run:
     def _needed(self, step: float) -> float:
         return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
 
-    def _first_step(self) -> float:
-        """A step to begin with, of lattices that are built soon: the coarsest one tried if memory is short."""
-        # Cells about as large as the smallest robot, whose lattices have room for it to pass.
-        sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in self.problem.robots]
-        size = min(size or _POINT_STEP * self.extent for size in sizes)
-        step = float(np.clip(size, _FINEST_FIRST * self.extent, _COARSEST_FIRST * self.extent))
-        coarsest = _COARSEST * self.extent
-        num_primitives = len(self.options.primitives)
-        while step < coarsest and (work(self.problem, step, num_primitives) > _MOST_FIRST or not self._fits(step)):
-            step *= _REFINEMENT
-        return step
+
+def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool]) -> float:
+    """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
+    # Cells about as large as the smallest robot, whose lattices have room for it to pass.
+    extent = float(problem.workspace.bounds.width.max())
+    sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
+    size = min(size or _POINT_STEP * extent for size in sizes)
+    step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
+    while step < _COARSEST * extent and (work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
+        step *= _REFINEMENT
+    return step
 
 
 def _harder(step: float, weight: float, options: BLOptions) -> tuple[float, float, BLOptions] | None:

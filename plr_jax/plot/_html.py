@@ -57,7 +57,7 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 """
 
 
-def framed(page: str, width: float, height: float) -> str:
+def framed(page: str, width: float | int, height: float | int) -> str:
     """A page in a frame of its own, so that many fit on one page and none sees the others."""
     looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
     return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'

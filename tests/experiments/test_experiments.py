@@ -30,6 +30,7 @@ SECTIONED = (
     "volumes",
     "living",
     "page",
+    "lifelong",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -48,6 +49,7 @@ FAMILIES = {
     "costs": ("--only", "estimates"),
     "volumes": ("--only", "volumes"),
     "living": ("--only", "maps", "doors"),
+    "lifelong": ("--only", "replanned"),
 }
 
 

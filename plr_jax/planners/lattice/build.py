@@ -201,16 +201,27 @@ def build_lattices(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    primitives = tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
     kinds, lattices = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), {}
     for robot, weight in dict.fromkeys(kinds):
         alike = [i for i, kind in enumerate(kinds) if kind == (robot, weight)]
         starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
-        is_small = num_configurations(problem.workspace, robot, step) * (1 + len(primitives)) <= _MOST_KEPT
-        motions_of = _kept if is_small else _motions
-        motions = motions_of(problem.workspace, robot, weight, step, primitives, Indifferent(deadline))
+        motions = motions_of(problem.workspace, robot, weight, step, primitives, deadline)
         lattices.update(zip(alike, motions.with_ends(starts, goals), strict=True))
     return [lattices[i] for i in range(len(problem.robots))]
+
+
+def motions_of(
+    workspace: Workspace,
+    robot: Robot,
+    weight: float,
+    step: float,
+    primitives: Sequence[Primitive],
+    deadline: float = math.inf,
+) -> Motions:
+    """The motions of a kind of robot, as :func:`build_lattices` has them, without starts and goals."""
+    primitives = tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
+    is_small = num_configurations(workspace, robot, step) * (1 + len(primitives)) <= _MOST_KEPT
+    return (_kept if is_small else _motions)(workspace, robot, weight, step, primitives, Indifferent(deadline))
 
 
 def _motions(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,14 +44,15 @@ class Program:
     Attributes:
         contents: What the file holds.
         domain: The domain of the points; that of ``contents`` is of folded ones.
-        corner: That of a far domain, from which points are counted in 64 bits; else None.
+        corner: That of a far domain, from which points are counted in 64 bits; else None. Of a program for any file,
+            what its coordinates are called.
         of_leaves: The domain that the leaves partition, as points come to it: counted, or folded.
         numbers: What the leaves compute with, in the order of the tree's traversal.
     """
 
     contents: Contents
     domain: Box
-    corner: Corner | None
+    corner: Any
     of_leaves: Box
     numbers: Float[np.ndarray, "leaves count"]
 
@@ -84,7 +86,7 @@ class Program:
         return np.float32 if self.corner is None else np.float64
 
     @property
-    def _origin(self) -> Corner:
+    def _origin(self) -> Any:
         return np.zeros(self.dim) if self.corner is None else self.corner
 
     @cached_property

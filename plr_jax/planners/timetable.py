@@ -1,0 +1,288 @@
+"""A team's motions row by row, each row as long as any other, and one robot planned among the others through time.
+
+A robot may set out at any row, along the motions of its lattice or straight, at unit speed: a motion takes as many
+rows as it needs at that speed. So robots need not move in step with one another, as they do in the other searches.
+"""
+
+import heapq
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from plr_jax._arrays import runs
+from plr_jax._deadline import require_time
+from plr_jax._problem import Problem, row_times, straight_costs
+from plr_jax.collision.team import JointMotionTest, Traffic, circles
+from plr_jax.planners.lattice.build import Motions
+from plr_jax.planners.lattice.joint import Lattice
+from plr_jax.robots.robot import between
+
+# Where each robot is at each row, and whether another motion fits in between.
+
+_ROUNDING = 1e-9
+
+Rows = Int[np.ndarray, "m"]
+Meetings = tuple[Int[np.ndarray, "meetings"], Int[np.ndarray, "meetings"]]
+Configurations = Float[np.ndarray, "m dof"]
+Motion = Float[np.ndarray, "rows dof"]
+Configuration = Float[np.ndarray, "dof"]
+JointPath = Float[np.ndarray, "rows robots dof"]
+
+
+class Timetable:
+    """The motions of a team, row by row, in which those of one robot at a time are exchanged.
+
+    After the last row all robots stay where they are.
+
+    Args:
+        problem: The robots, and where they move.
+        path: Their configurations, row by row.
+        patience: Rows for which a robot whose motion has ended is in the way of others; after them, it is expected to
+            have moved on. ``inf``: it rests for good.
+        deadline: On the clock of ``time.perf_counter``; tests that pass it raise ``TimeoutError``.
+
+    Attributes:
+        ends: The row at which each robot's motion ends.
+        absent: Robots that are in nobody's way, as their motions are yet to be found.
+    """
+
+    def __init__(
+        self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
+    ):
+        self.problem, self.patience = problem, patience
+        self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
+        moves = (path != path[-1]).any(axis=2)
+        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
+        self.absent: set[int] = set()
+        self._last = len(path) - 1
+        self._traffic = Traffic(problem.robots, np.concatenate([path, path[-1:]]))
+
+    @property
+    def path(self) -> JointPath:
+        """The configurations, row by row, to the one from which on all stay where they are."""
+        return self._traffic.path[: int(self.ends.max()) + 1]
+
+    def move(self, i: int, q: Motion) -> None:
+        """Have a robot make other motions, of any number of rows, and be in the way of others again."""
+        if len(q) > self._last + 1:
+            more = np.repeat(self._traffic.path[-1:], len(q) - self._last - 1, axis=0)
+            self._last, path = len(q) - 1, np.concatenate([self._traffic.path, more])
+            self._traffic = Traffic(self.problem.robots, path)
+        whole = self._traffic.path[:, i].copy()  # a heading that the robot has not stays as it is
+        whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
+        self._traffic.move(i, whole)
+        self.ends[i] = len(q) - 1
+        self.absent.discard(i)
+
+    def fits(
+        self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
+    ) -> Bool[np.ndarray, "m"]:
+        """Whether straight motions of one robot, from some rows on for so many rows, keep clear of the others."""
+        owner, step = runs(count)
+        share = count[owner, None]
+        first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
+        piece, _ = self._meetings(i, first, last, row[owner] + step)
+        fits = np.ones(len(begin), dtype=bool)
+        fits[owner[piece]] = False
+        return fits
+
+    def meetings(self, i: int, q: Motion) -> Meetings:
+        """When others meet a robot that makes a motion and stays where it ends, row by row, and who."""
+        row = np.arange(max(self._last + 1, len(q)))
+        first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
+        piece, other = self._meetings(i, first, last, row)
+        return row[piece], other
+
+    def free_from(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
+        """For each row the first from there on at which a robot may stay somewhere for so many rows, ``inf`` if none.
+
+        What the last row says holds after it as well.
+        """
+        # Nobody rests there for longer than its patience.
+        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
+        taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
+        taken[self._meetings(i, at, at, row)[0]] = True
+        free, soonest, clear = np.empty(len(taken)), math.inf, 0.0 if taken[-1] else math.inf
+        for row in range(len(taken) - 1, -1, -1):
+            clear = 0.0 if taken[row] else clear + 1
+            soonest = row if clear >= rest else soonest
+            free[row] = soonest
+        return free
+
+    def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
+        """Motions of one robot, each in the row given, that meet others, and whom."""
+        around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
+        piece, other = self._traffic.near(i, around, motion, list(self.absent))
+        there = row[piece] < self.ends[other] + self.patience
+        piece, other = piece[there], other[there]
+        meet = self.test.meet(i, first[piece], last[piece], self._traffic, motion[piece], other)
+        return piece[meet], other[meet]
+
+
+def in_rows(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
+    """A path with rows added, none of which takes longer than a length."""
+    count = np.maximum(_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
+    motion, step = runs(count)
+    finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
+    finer[step == 0] = path[:-1]
+    return np.concatenate([finer, path[-1:]])
+
+
+def _rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
+    """How many rows of a length motions of some costs take."""
+    return np.ceil(cost / length - _ROUNDING)
+
+
+# One robot planned among the others: A* over nodes and rows, then straight ways.
+#
+# References:
+#     Silver, "Cooperative pathfinding", 2005.
+
+
+_WAIT = 3  # rows of a wait; a node is reached once in as many rows
+_BATCH = 16  # states expanded at once
+_ROOM = 4  # radii from walls at which a robot that rests leaves room for another to pass, and to spare
+_AHEAD = 32  # waypoints that a straight way leaves out at most
+
+
+class LoneRobot:
+    """One robot on its lattice, whose motions cost as many rows as they take.
+
+    Args:
+        index: Which robot of the team it is.
+        motions: Those of its kind.
+        start, goal: Its ends.
+        length: Of a row, in units of cost.
+
+    Attributes:
+        rows_to_go: Rows from each node to the goal, if the robot is alone; ``inf`` where there is no way.
+    """
+
+    def __init__(self, index: int, motions: Motions, start: Configuration, goal: Configuration, length: float):
+        self.index, self.length, self.weight = index, length, motions.rotation_weight
+        lattice = motions.with_ends(start[None], goal[None])[0]
+        table = replace(lattice.table, cost=_rows(lattice.table.cost, length))
+        self.lattice = Lattice(table, lattice.ends._replace(cost=_rows(lattice.ends.cost, length)))
+        child, cost = self.lattice.child, self.lattice.cost
+        leads = np.isfinite(cost)
+        first = np.append(0, np.cumsum(leads.sum(axis=1)))
+        graph = csr_array((cost[leads], child[leads], first), shape=(len(child), len(child)))
+        self.rows_to_go = dijkstra(graph.T, indices=self.lattice.goal)
+
+
+def plan_through_time(
+    timetable: Timetable, robot: LoneRobot, rest: float | int, most: int
+) -> tuple[Motion | None, bool]:
+    """The motion that brings a robot to its goal soonest among the others, and whether it does.
+
+    Where the search grows too large, or finds no way, it leads but part of the way: to where the robot may rest that
+    is nearest to the goal of all places that were reached.
+
+    Args:
+        timetable: The others.
+        robot: The robot; where it stands is row 0.
+        rest: Rows for which it has to be free to stay where it ends, ``inf`` for good.
+        most: States to be expanded before it goes but part of its way.
+
+    Returns:
+        Its configurations row by row, None if there is no place where it may rest; and whether the last is its goal.
+
+    Raises:
+        TimeoutError: If the deadline of the timetable's tests passes first.
+    """
+    lattice, i, to_go = robot.lattice, robot.index, robot.rows_to_go
+    child, duration, q = lattice.child, lattice.cost.copy(), lattice.q
+    duration[:, 0] = _WAIT
+    free = timetable.free_from(i, q[lattice.goal], rest)
+
+    def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The row at which the goal may be reached at best."""
+        there = row + to_go[node]
+        return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
+
+    start = np.array([lattice.start])
+    nodes, rows, parents = [lattice.start], [0], [-1]
+    waiting = [(float(soonest(start, np.zeros(1))[0]), to_go[lattice.start], 0)]
+    known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
+    if lattice.start == lattice.goal and free[0] == 0:
+        best, arrived = 0, 0
+    while waiting and waiting[0][0] < best and num_expanded < most:
+        require_time(timetable.test.deadline, "a robot was planned")
+        some = [heapq.heappop(waiting)[2] for _ in range(min(len(waiting), _BATCH))]
+        num_expanded += len(some)
+        begin, row = np.array([nodes[k] for k in some]), np.array([rows[k] for k in some])
+        target, until = child[begin], row[:, None] + duration[begin]
+        at_best = soonest(target, until)
+        place, primitive = np.nonzero(at_best < best)
+        end, when, at_best = (column[place, primitive] for column in (target, until, at_best))
+        when = when.astype(int)
+        keys = list(zip(end.tolist(), (when // _WAIT).tolist(), strict=True))
+        new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=int)
+        first, since = begin[place[new]], row[place[new]]
+        for n in new[timetable.fits(i, q[first], q[end[new]], since, when[new] - since)].tolist():
+            if keys[n] not in known:
+                known.add(keys[n])
+                if end[n] == lattice.goal and at_best[n] == when[n]:
+                    best, arrived = when[n], len(nodes)
+                heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
+                for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
+                    column.append(int(entry))
+    found = arrived if arrived >= 0 else _nearest_rest(timetable, robot, np.array(nodes), np.array(rows), rest)
+    if found is None:
+        return None, False
+    way = [found]
+    while parents[way[-1]] >= 0:
+        way.append(parents[way[-1]])
+    way.reverse()
+    return _straightened(timetable, robot, q[np.array(nodes)[way]], np.array(rows)[way]), arrived >= 0
+
+
+def _nearest_rest(timetable: Timetable, robot: LoneRobot, nodes: Rows, rows: Rows, rest: float | int) -> int | None:
+    """The state nearest to the goal at which a robot may rest, away from walls if it can, as others have to pass."""
+    q = robot.lattice.q
+    size = timetable.problem.robots[robot.index].circumscribed_radius
+    is_narrow = timetable.problem.workspace.clearance(q[nodes, :2]) < _ROOM * size
+    order = np.lexsort((robot.rows_to_go[nodes], is_narrow))
+    count = int(min(rest, len(timetable.path)))
+    for begin in range(0, len(order), _BATCH):
+        some = order[begin : begin + _BATCH]
+        at = q[nodes[some]]
+        free = timetable.fits(robot.index, at, at, rows[some], np.full(len(some), count))
+        if free.any():
+            return int(some[free.argmax()])
+    return None
+
+
+def _straightened(timetable: Timetable, robot: LoneRobot, q: Configurations, row: Rows) -> Motion:
+    """The motion along some waypoints, reached at some rows, that goes straight and sets out early where it may.
+
+    A waypoint is reached no later than it was, and the robot may wait there until then.
+    """
+    i, walls, deadline = robot.index, timetable.test.of_walls[robot.index], timetable.test.deadline
+    motion, at, now = [q[:1]], 0, 0
+    while at < len(q) - 1:
+        ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
+        begin = np.repeat(q[[at]], len(ahead), axis=0)
+        count = _rows(straight_costs(begin, q[ahead], robot.weight), robot.length).astype(int)
+        early = np.flatnonzero(now + count <= row[ahead])
+        early = early[walls(begin[early], q[ahead[early]], deadline)]
+        ahead, count, begin = ahead[early], count[early], begin[early]
+        since = np.full(len(ahead), now)
+        fits = timetable.fits(i, begin, q[ahead], since, count)
+        fits &= timetable.fits(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
+        if fits.any():
+            farthest = np.flatnonzero(fits)[-1]
+            at, steps = int(ahead[farthest]), int(count[farthest])
+            motion.append(between(motion[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
+            if steps:
+                motion[-1][-1] = q[at]  # to the last bit
+            now += steps
+        else:
+            wait = min(_WAIT, int(row[at]) - now)
+            motion.append(np.repeat(q[[at]], wait, axis=0))
+            now += wait
+    return np.concatenate(motion)

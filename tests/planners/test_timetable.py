@@ -1,0 +1,133 @@
+"""One robot planned among others through time: against tests of each two motions, and by hand."""
+
+import numpy as np
+import pytest
+import shapely
+from planner_helpers import MIXED, ROOM
+
+from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners.lattice.build import PRIMITIVES, motions_of
+from plr_jax.planners.timetable import LoneRobot, Timetable, in_rows, plan_through_time
+from plr_jax.robots.robot import between
+
+LENGTH = 0.15
+
+
+def straight(problem, num_rows):
+    """All robots on their straight ways, each over a random part of the rows, walls or not."""
+    rng = np.random.default_rng(0)
+    share = np.clip((np.arange(num_rows)[:, None] / num_rows - rng.uniform(0, 0.5, len(problem.robots))) * 2, 0, 1)
+    return between(problem.starts[None], problem.goals[None], share[..., None])
+
+
+def lone_robot(problem, i, step=0.4):
+    robot, weight = problem.robots[i], float(problem.rotation_weights[i])
+    motions = motions_of(problem.workspace, robot, weight, step, PRIMITIVES)
+    return LoneRobot(i, motions, problem.starts[i, : robot.dof], problem.goals[i, : robot.dof], LENGTH)
+
+
+def planned(timetable, i, rest=np.inf, most=10_000):
+    motion, arrives = plan_through_time(timetable, lone_robot(timetable.problem, i), rest, most)
+    assert motion is not None
+    return motion, arrives
+
+
+@pytest.mark.parametrize("problem", [MIXED, scenes.crowd(12)], ids=["mixed", "crowd"])
+def test_motions_fit_where_each_two_are_apart(problem):
+    path = straight(problem, 40)
+    timetable, rng = Timetable(problem, path), np.random.default_rng(1)
+    timetable.absent.add(len(problem.robots) - 1)
+    for i, robot in enumerate(problem.robots[:-1]):
+        q = (
+            problem.starts[i]
+            + rng.uniform(-1, 1, (60, problem.dof))
+            + np.append([2.0, 1.0], [0.0] * robot.dof)[: problem.dof]
+        )
+        begin, end = q[:30], q[30:]
+        row, count = rng.integers(0, 50, 30), rng.integers(0, 8, 30)
+        fits = timetable.fits(i, begin, end, row, count)
+        for k in range(30):
+            expected = True
+            for step in range(count[k]):
+                first, last = (
+                    between(begin[[k]], end[[k]], np.array([[(step + ahead) / count[k]]])) for ahead in (0, 1)
+                )
+                at = [min(row[k] + step + ahead, len(path) - 1) for ahead in (0, 1)]
+                for j in range(len(problem.robots) - 1):
+                    others = problem.robots[j], path[at[0], [j]], path[at[1], [j]]
+                    if j != i:
+                        expected &= motions_apart(robot, first, last, *others, problem.workspace.tolerance)[0]
+            assert fits[k] == expected
+
+
+def test_a_place_is_free_from_the_row_on_at_which_the_last_has_passed():
+    problem = Problem(ROOM, [DiscRobot(0.5), DiscRobot(0.5)], [(1, 1), (1, 5)], [(9, 1), (9, 5)])
+    path = np.stack([np.repeat([[1.0, 1.0]], 9, axis=0), [(1.0 + x, 5.0) for x in range(9)]], axis=1)
+    timetable, place = Timetable(problem, path), np.array([5.0, 5.0])
+    meetings, who = timetable.meetings(0, place[None])
+    assert meetings.tolist() == [3, 4] and set(who.tolist()) == {1}
+    free = timetable.free_from(0, place, np.inf)
+    assert free.tolist() == [5] * 6 + [6, 7, 8]
+    assert timetable.free_from(0, place, 3)[:5].tolist() == [0, 5, 5, 5, 5]
+    # Where it rests it rests for good, or for as long as it is patient.
+    assert not np.isfinite(timetable.free_from(0, np.array([9.0, 5.0]), np.inf)).any()
+    patient = Timetable(problem, path, patience=4)
+    assert patient.free_from(0, np.array([9.0, 5.0]), 2)[6:].min() == 12
+
+
+def test_alone_a_robot_goes_straight_at_unit_speed():
+    problem = Problem(ROOM, [DiscRobot(0.4)], [(1.03, 1.1)], [(8.7, 5.2)])
+    motion, arrives = planned(Timetable(problem, problem.starts[None]), 0)
+    assert arrives and len(motion) - 1 == np.ceil(np.hypot(7.67, 4.1) / LENGTH)
+    np.testing.assert_array_equal(motion[[0, -1]], [problem.starts[0], problem.goals[0]])
+    np.testing.assert_allclose(np.diff(np.diff(motion, axis=0), axis=0), 0, atol=1e-12)
+
+
+def test_who_waits_for_another_goes_as_soon_as_that_has_passed():
+    """A hallway of one lane, with a bay: the first robot has it to itself until it is through."""
+    walls = [shapely.box(0, 1, 4, 3), shapely.box(5, 1, 10, 3)]
+    problem = Problem(
+        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (4.5, 2.4)], [(9.5, 0.5), (0.5, 0.5)]
+    )
+    first = between(problem.starts[:1], problem.goals[:1], np.linspace(0, 1, 61)[:, None])
+    timetable = Timetable(problem, np.stack([first, np.repeat(problem.starts[1:], 61, axis=0)], axis=1))
+    motion, arrives = planned(timetable, 1)
+    timetable.move(1, motion)
+    assert arrives and validate(problem, timetable.path).valid
+    # It may set out before the first has passed the bay, but be in the hallway no sooner.
+    alone = lone_robot(problem, 1)
+    assert alone.rows_to_go[alone.lattice.start] < len(motion) - 1 < 27 + alone.rows_to_go[alone.lattice.start]
+
+
+def test_who_finds_no_way_goes_as_near_as_it_may_rest():
+    walls = [shapely.box(0, 1, 10, 3)]
+    problem = Problem(
+        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (5, 0.5)], [(9.5, 0.5), (6, 0.5)]
+    )
+    timetable = Timetable(problem, problem.starts[None])
+    motion, arrives = planned(timetable, 0)
+    assert not arrives and 3.6 < motion[-1, 0] <= 4.2
+    timetable.absent.add(1)
+    assert planned(timetable, 0)[1]
+
+
+@pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(3)], ids=["mixed", "rooms"])
+def test_robots_planned_one_among_the_others_make_a_valid_path(problem):
+    timetable = Timetable(problem, problem.starts[None])
+    timetable.absent.update(range(len(problem.robots)))
+    for i in range(len(problem.robots)):
+        motion, arrives = planned(timetable, i)
+        assert arrives
+        timetable.move(i, motion)
+        assert timetable.ends[i] == len(motion) - 1
+    assert validate(problem, timetable.path).valid
+
+
+def test_rows_that_are_added_change_nothing_and_take_no_longer_than_they_may():
+    path = straight(MIXED, 7)
+    finer = in_rows(MIXED, path, LENGTH)
+    costs = np.hypot(*np.moveaxis(np.diff(finer[..., :2], axis=0), 2, 0))
+    assert (costs <= LENGTH * (1 + 1e-9)).all()
+    rows = np.flatnonzero((finer[:, None] == path[None]).all(axis=(2, 3)).any(axis=1))
+    assert len(rows) >= len(path)
