@@ -24,7 +24,6 @@ from plr_jax.plr.portable.arithmetic import (
     length,
 )
 from plr_jax.plr.query.frame import (
-    Corner,
     Frame,
     corner_if_far,
     folding_numbers,
