@@ -6,6 +6,7 @@ how many blocks of corners their cells have, and taken in chunks of pairs of abo
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import isqrt
 
 import jax
 import jax.numpy as jnp
@@ -13,14 +14,18 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
-from plr_jax._arrays import runs
-from plr_jax.pairs.grid_sectors import FAR, corner_cells, corner_distances, open_length, taut_at_corners, units
+from plr_jax._arrays import parts, runs
+from plr_jax.pairs.grid_corners import FAR, corner_distances
+from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
 
 # Whether cells see each other: illegal steps between them, counted by at most four lookups.
 #
 # Between cells of an 8-connected grid that are not in one row or column, diagonal steps tell: if they are all legal,
 # so are the straight ones. They start in a parallelogram, which is a rectangle in the coordinates ``(row, column -
 # row)``, so that sums over rows and slanted columns count them as a summed-area table counts what is in a rectangle.
+#
+# Of what is illegal only that counts which is beside something free: between cells of which one is free there is some
+# of that if there is any, as rectangles are connected. So sums are small.
 #
 # References:
 #     Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
@@ -40,12 +45,15 @@ class IllegalSteps:
     Attributes:
         sums: Tables with a row and a column of zeros before those of the grid, one after the other. Of a 4-connected
             grid, blocked cells above and before each. Of an 8-connected one, illegal diagonal steps as it is, and
-            mirrored, and blocked cells before each in its row; then these three of the transposed grid.
+            mirrored, and blocked cells before each in its row; then these three of the transposed grid. Only those
+            beside a free cell count.
+        free: Bits of the cells in row-major order, the lowest of a word first.
         shape: Rows and columns of the grid.
         connectivity: 4 or 8.
     """
 
     sums: Integer[Array, "sums"]
+    free: UInt32[Array, "words"]
     shape: tuple[int, int] = field(metadata={"static": True})
     connectivity: int = field(metadata={"static": True})
 
@@ -53,20 +61,39 @@ class IllegalSteps:
 def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
     """The sums of a grid."""
     if connectivity == 4:
-        sums = [_with_margin(~free).cumsum(axis=0).cumsum(axis=1)]
+        beside = _with_margin(~free & (_beside_free(free) | _beside_free(free.T).T))
+        sums = [beside.cumsum(axis=0).cumsum(axis=1)]
     else:
         sums = [
             table
             for grid in (free, free.T)
-            for table in (_slanted_sums(grid), _slanted_sums(grid[:, ::-1]), _with_margin(~grid).cumsum(axis=1))
+            for table in (
+                _slanted_sums(grid),
+                _slanted_sums(grid[:, ::-1]),
+                _with_margin(~grid & _beside_free(grid)).cumsum(axis=1),
+            )
         ]
     flat = np.concatenate([table.ravel() for table in sums])
-    return IllegalSteps(jnp.asarray(flat.astype(np.min_scalar_type(flat.max()))), free.shape, connectivity)
+    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
+    return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
+
+
+def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
+    """Whether cells of the grid are free."""
+    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
+    return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
+
+
+def _beside_free(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    """Whether a cell beside each in its row is free."""
+    around = np.pad(free, ((0, 0), (1, 1)))
+    return around[:, :-2] | around[:, 2:]
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
     """Whether cells of the grid see each other; blocked ones see none."""
-    return _count_in_rectangles(sight, p, q) == 0 if sight.connectivity == 4 else _count_in_sectors(sight, p, q) == 0
+    count = _count_in_rectangles if sight.connectivity == 4 else _count_in_sectors
+    return is_free(sight, p) & (count(sight, p, q) == 0)
 
 
 def _count_in_rectangles(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
@@ -113,8 +140,9 @@ def _between(
 
 def _slanted_sums(free: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
     """Illegal diagonal steps that end in the rows until each cell's, at no greater ``column - row``."""
-    legal = free[1:, 1:] & free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:]
-    sums = _with_margin(np.pad(~legal, ((1, 0), (1, 0)))).cumsum(axis=1)
+    cells = np.stack([free[1:, 1:], free[:-1, :-1], free[1:, :-1], free[:-1, 1:]])
+    illegal = cells.any(axis=0) & ~cells.all(axis=0)
+    sums = _with_margin(np.pad(illegal, ((1, 0), (1, 0)))).cumsum(axis=1)
     for row in range(1, len(sums)):
         sums[row, 1:] += sums[row - 1, :-1]
     return sums
@@ -138,17 +166,23 @@ class GridTables:
 
     Attributes:
         sight: Which cells see each other.
-        first_block: Where the blocks of each cell begin, in row-major order, and their number.
+        group_block: Where the blocks of each 16 cells begin, in row-major order.
+        cell_block: How much later those of each cell begin; of one more at the end.
         blocks: Numbers of corners; the last of a cell is repeated to fill its last block.
         places: Cell of each corner, in row-major order.
-        between: Distances in units of each corner to those before it and to itself, ``FAR`` if there is none.
+        center: Center of each corner.
+        between_centers: Their distances in units, row by row; at least ``FAR`` if there is no path.
+        differences: How much longer the way from each corner to those before it and to itself is.
     """
 
     sight: IllegalSteps
-    first_block: Int32[Array, "cells_plus_one"]
+    group_block: Int32[Array, "groups"]
+    cell_block: Integer[Array, "cells_plus_one"]
     blocks: Integer[Array, "blocks 4"]
     places: UInt32[Array, "corners"]
-    between: Integer[Array, "pairs"]
+    center: Integer[Array, "corners"]
+    between_centers: Int32[Array, "center_pairs"]
+    differences: Integer[Array, "pairs"]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -163,35 +197,51 @@ class GridTables:
 
 def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
     """The tables of a grid."""
-    corner, cell = taut_at_corners(free, connectivity)
-    order = np.lexsort((corner, cell))
-    first_block, blocks = _in_blocks(corner[order], np.bincount(cell, minlength=free.size))
-    places = np.flatnonzero(corner_cells(free))
-    between = corner_distances(free, connectivity)
+    first, corners = taut_corners(free, connectivity)
+    first_block, blocks = _in_blocks(first, corners)
+    group_block = first_block[::_GROUP]
+    cell_block = first_block - np.repeat(group_block, _GROUP)[: len(first_block)]
+    distances = corner_distances(free, connectivity)
+    tables = (
+        blocks,
+        np.flatnonzero(corner_cells(free)).astype(np.uint32),
+        _narrow(distances.center),
+        distances.between_centers.ravel(),
+        distances.differences,
+    )
     # What is empty is read as well, though what is read is not used.
-    blocks, places, between = (
-        table if len(table) else np.zeros((1, *table.shape[1:]), table.dtype) for table in (blocks, places, between)
-    )
+    tables = (table if len(table) else np.zeros((1, *table.shape[1:]), table.dtype) for table in tables)
     return GridTables(
-        sight=sight_of(free, connectivity),
-        first_block=jnp.asarray(first_block, jnp.int32),
-        blocks=jnp.asarray(blocks, np.min_scalar_type(blocks.max())),
-        places=jnp.asarray(places, jnp.uint32),
-        between=jnp.asarray(between),
+        sight_of(free, connectivity),
+        jnp.asarray(group_block, jnp.int32),
+        jnp.asarray(_narrow(cell_block)),
+        *map(jnp.asarray, tables),
     )
+
+
+def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
+    """The same in as few bytes each as do."""
+    return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
 def _in_blocks(
-    corners: Int[np.ndarray, "pairs"], counts: Int[np.ndarray, "cells"]
-) -> tuple[Int[np.ndarray, "cells_plus_one"], Int[np.ndarray, "blocks 4"]]:
+    first: Int[np.ndarray, "cells_plus_one"], corners: Int32[np.ndarray, "pairs"]
+) -> tuple[Int[np.ndarray, "cells_plus_one"], Integer[np.ndarray, "blocks 4"]]:
     """Where the blocks of each cell begin, and the blocks, of corners that stand cell by cell."""
+    counts = np.diff(first)
     num_blocks = -(-counts // BLOCK)
-    first = np.cumsum(counts) - counts
-    cell, block = runs(num_blocks)
-    place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[cell, None] - 1)
-    return np.concatenate([[0], np.cumsum(num_blocks)]), corners[first[cell, None] + place]
+    first_block = np.concatenate([[0], np.cumsum(num_blocks)])
+    blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
+    for some in parts(num_blocks, _BLOCKS_AT_ONCE):
+        cell, block = runs(num_blocks[some])
+        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
+        begin = first_block[some.start]
+        blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]
+    return first_block, blocks
 
 
+_GROUP = 16  # cells
+_BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 14  # of the place of a pair among those that are sorted at once
 _CHUNK = 1024  # pairs taken at once
 _MOST_BLOCKS = 2**8 - 1  # told apart when pairs are sorted
@@ -304,7 +354,7 @@ def _least_around(
         legs = open_length(tables.connectivity, rows, columns)
         return jnp.minimum(least, (legs.reshape(*alike, -1) + onward(corners)).min(axis=-1))
 
-    far = jnp.full(shape, _far(tables), jnp.int32)
+    far = jnp.full(shape, FAR, jnp.int32)
     return jnp.where(count.reshape(alike) > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
@@ -317,24 +367,24 @@ def _where_seen(tables: GridTables, p: Cells, q: Cells, around: Int32[Array, "n"
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """Where the blocks of each cell's corners begin, and how many there are."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
-    first = tables.first_block[cell]
-    return first, tables.first_block[cell + 1] - first
+    first, end = (
+        _gather(tables.group_block, one // _GROUP) + _gather(tables.cell_block, one).astype(jnp.int32)
+        for one in (cell, cell + 1)
+    )
+    return first, end - first
 
 
 def _lengths_between(tables: GridTables, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
     """Distances in units between corners."""
     high, low = jnp.maximum(a, b), jnp.minimum(a, b)
-    return _gather(tables.between, (high * (high + 1) >> 1) + low).astype(jnp.int32)
+    center, other = (_gather(tables.center, corner).astype(jnp.int32) for corner in (a, b))
+    between = _gather(tables.between_centers, center * isqrt(len(tables.between_centers)) + other)
+    return between + _gather(tables.differences, (high * (high + 1) >> 1) + low).astype(jnp.int32)
 
 
 def _gather(table: Shaped[Array, "rows ..."], index: Int32[Array, "*n"]) -> Shaped[Array, "..."]:
     """Rows of a table, by indices that are known to be of it."""
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
-
-
-def _far(tables: GridTables) -> int:
-    """What is no path, or more."""
-    return FAR[np.dtype(tables.between.dtype)]
 
 
 def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
@@ -343,4 +393,4 @@ def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array,
     part = rest / units(tables.connectivity)
     whole = whole.astype(part.dtype)
     steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
-    return jnp.where(inside & (length < _far(tables)), steps, jnp.inf)
+    return jnp.where(inside & (length < FAR), steps, jnp.inf)
