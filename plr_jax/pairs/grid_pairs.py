@@ -219,7 +219,7 @@ class GridPairs:
     @property
     def num_corners(self) -> int:
         """Number of corners; the distances between them take the square of it."""
-        return len(self.tables.places)
+        return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""

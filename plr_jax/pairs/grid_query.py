@@ -1,12 +1,15 @@
 """Distances of pairs of cells, in JAX: the open length if they see each other, else the least sum over corners.
 
-Cells have from none to dozens of corners, and a pair takes the product of two such numbers. So pairs are sorted by
-how many blocks of corners their cells have, and taken in chunks of pairs of about as many.
+Cells have from none to dozens of corners, and a pair takes the product of two such numbers. But no path over a
+corner is shorter than the open way over it: once a way is known, over the corners whose open way is the shortest,
+most others need not be looked at. Pairs are sorted by how many blocks of corners their cells have, and again by how
+many are left, and taken in chunks of pairs of about as many.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isqrt
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,140 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt
 from plr_jax._arrays import parts, runs
 from plr_jax.pairs.grid_corners import FAR, corner_distances
 from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
-
-# Whether cells see each other: illegal steps between them, counted by at most four lookups.
-#
-# Between cells of an 8-connected grid that are not in one row or column, diagonal steps tell: if they are all legal,
-# so are the straight ones. They start in a parallelogram, which is a rectangle in the coordinates ``(row, column -
-# row)``, so that sums over rows and slanted columns count them as a summed-area table counts what is in a rectangle.
-#
-# Of what is illegal only that counts which is beside something free: between cells of which one is free there is some
-# of that if there is any, as rectangles are connected. So sums are small.
-#
-# References:
-#     Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
-
-
-_WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
-
-Cells = Int[Array, "n 2"]
-"""Row and column of each of some cells of the grid."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class IllegalSteps:
-    """Sums that tell which cells see each other, see :func:`sees`.
-
-    Attributes:
-        sums: Tables with a row and a column of zeros before those of the grid, one after the other. Of a 4-connected
-            grid, blocked cells above and before each. Of an 8-connected one, illegal diagonal steps as it is, and
-            mirrored, and blocked cells before each in its row; then these three of the transposed grid. Only those
-            beside a free cell count.
-        free: Bits of the cells in row-major order, the lowest of a word first.
-        shape: Rows and columns of the grid.
-        connectivity: 4 or 8.
-    """
-
-    sums: Integer[Array, "sums"]
-    free: UInt32[Array, "words"]
-    shape: tuple[int, int] = field(metadata={"static": True})
-    connectivity: int = field(metadata={"static": True})
-
-
-def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
-    """The sums of a grid."""
-    if connectivity == 4:
-        beside = _with_margin(~free & (_beside_free(free) | _beside_free(free.T).T))
-        sums = [beside.cumsum(axis=0).cumsum(axis=1)]
-    else:
-        sums = [
-            table
-            for grid in (free, free.T)
-            for table in (
-                _slanted_sums(grid),
-                _slanted_sums(grid[:, ::-1]),
-                _with_margin(~grid & _beside_free(grid)).cumsum(axis=1),
-            )
-        ]
-    flat = np.concatenate([table.ravel() for table in sums])
-    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
-    return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
-
-
-def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
-    """Whether cells of the grid are free."""
-    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
-    return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
-
-
-def _beside_free(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Whether a cell beside each in its row is free."""
-    around = np.pad(free, ((0, 0), (1, 1)))
-    return around[:, :-2] | around[:, 2:]
-
-
-def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
-    """Whether cells of the grid see each other; blocked ones see none."""
-    count = _count_in_rectangles if sight.connectivity == 4 else _count_in_sectors
-    return is_free(sight, p) & (count(sight, p, q) == 0)
-
-
-def _count_in_rectangles(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Blocked cells in the rectangles between cells."""
-    (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
-    stride = sight.shape[1] + 1
-    above, below = row * stride, (last_row + 1) * stride
-    return _between(sight, below, column, last_column) - _between(sight, above, column, last_column)
-
-
-def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Illegal diagonal steps in the parallelograms between cells; of cells in one line the blocked ones.
-
-    The grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
-    """
-    way = q - p
-    transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
-    mirrored = way[:, 0] * way[:, 1] < 0
-    straight = (way == 0).any(axis=1)
-    rows, columns = sight.shape
-    width = jnp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (jnp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (jnp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
-    row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
-    column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
-
-    table = (
-        (rows + 1)
-        * (columns + 1)
-        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
-    )
-    first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
-    aside = last_row - row
-    until_last = _between(sight, last, column + aside, last_column)
-    return until_last - jnp.where(straight, 0, _between(sight, first, column, last_column - aside))
-
-
-def _between(
-    sight: IllegalSteps, row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]
-) -> Int[Array, "n"]:
-    """What the sums of a row, that begins there, increase by from before a column to the last one."""
-    return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
-
-
-def _slanted_sums(free: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
-    """Illegal diagonal steps that end in the rows until each cell's, at no greater ``column - row``."""
-    cells = np.stack([free[1:, 1:], free[:-1, :-1], free[1:, :-1], free[:-1, 1:]])
-    illegal = cells.any(axis=0) & ~cells.all(axis=0)
-    sums = _with_margin(np.pad(illegal, ((1, 0), (1, 0)))).cumsum(axis=1)
-    for row in range(1, len(sums)):
-        sums[row, 1:] += sums[row - 1, :-1]
-    return sums
-
-
-def _with_margin(table: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
-    return np.pad(table.astype(np.int64), ((1, 0), (1, 0)))
-
+from plr_jax.pairs.grid_sight import Cells, IllegalSteps, narrow, sees, sight_of
 
 # What a query of pairs reads: all derived from the cells of a grid.
 
@@ -169,7 +39,8 @@ class GridTables:
         group_block: Where the blocks of each 16 cells begin, in row-major order.
         cell_block: How much later those of each cell begin; of one more at the end.
         blocks: Numbers of corners; the last of a cell is repeated to fill its last block.
-        places: Cell of each corner, in row-major order.
+        row: Row of each corner.
+        column: Column of each corner.
         center: Center of each corner.
         between_centers: Their distances in units, row by row; at least ``FAR`` if there is no path.
         differences: How much longer the way from each corner to those before it and to itself is.
@@ -179,7 +50,8 @@ class GridTables:
     group_block: Int32[Array, "groups"]
     cell_block: Integer[Array, "cells_plus_one"]
     blocks: Integer[Array, "blocks 4"]
-    places: UInt32[Array, "corners"]
+    row: Int32[Array, "corners"]
+    column: Int32[Array, "corners"]
     center: Integer[Array, "corners"]
     between_centers: Int32[Array, "center_pairs"]
     differences: Integer[Array, "pairs"]
@@ -204,8 +76,8 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
     distances = corner_distances(free, connectivity)
     tables = (
         blocks,
-        np.flatnonzero(corner_cells(free)).astype(np.uint32),
-        _narrow(distances.center),
+        *(places.astype(np.int32) for places in np.nonzero(corner_cells(free))),
+        narrow(distances.center),
         distances.between_centers.ravel(),
         distances.differences,
     )
@@ -214,14 +86,9 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
     return GridTables(
         sight_of(free, connectivity),
         jnp.asarray(group_block, jnp.int32),
-        jnp.asarray(_narrow(cell_block)),
+        jnp.asarray(narrow(cell_block)),
         *map(jnp.asarray, tables),
     )
-
-
-def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
-    """The same in as few bytes each as do."""
-    return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
 def _in_blocks(
@@ -242,9 +109,10 @@ def _in_blocks(
 
 _GROUP = 16  # cells
 _BLOCKS_AT_ONCE = 2**20
-_SORTED_BITS = 14  # of the place of a pair among those that are sorted at once
+_SORTED_BITS = 18  # of the place of a pair among those that are sorted at once
 _CHUNK = 1024  # pairs taken at once
-_MOST_BLOCKS = 2**8 - 1  # told apart when pairs are sorted
+_MOST_TOLD = 2**7 - 1  # blocks of cells, as told apart when pairs are sorted
+_WORD = 32  # bits
 _ROUNDING = 2.0**-22  # more than what rounding in 32 bits can add, as a share
 
 SLACK = 2.0**-20
@@ -259,8 +127,7 @@ def evaluate_pairs(
     """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (_cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
-    lengths = _where_seen(tables, p, q, _around_corners(tables, p, q))
-    return _in_steps(tables, lengths, p_inside & q_inside).reshape(batch)
+    return _in_steps(tables, _lengths(tables, p, q), p_inside & q_inside).reshape(batch)
 
 
 @jax.jit
@@ -284,7 +151,7 @@ def evaluate_to(
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
     """Distance in units of each corner from a cell by way of the corners at which the cell is taut."""
-    every = jnp.arange(len(tables.places), dtype=jnp.int32)
+    every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
         tables, cells, lambda corners: _lengths_between(tables, every[:, None], corners), every.shape
@@ -298,64 +165,177 @@ def _cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Arr
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
-def _around_corners(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """Least length of a path from one cell of each pair to a corner, to a corner, and to the other cell."""
+def _lengths(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+    """Lengths in units of shortest paths between cells, at least ``FAR`` without one."""
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
     pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
-    return lax.map(lambda ends: _around_corners_sorted(tables, *ends), pairs).reshape(-1)[: len(p)]
+    return lax.map(lambda ends: _lengths_at_once(tables, *ends), pairs).reshape(-1)[: len(p)]
 
 
-def _around_corners_sorted(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of at most so many pairs that are sorted at once."""
-    counts = [jnp.minimum(_blocks_of(tables, cells)[1], _MOST_BLOCKS).astype(jnp.uint32) for cells in (p, q)]
-    work = counts[0] * (_MOST_BLOCKS + 1) + counts[1]
-    place = jnp.arange(len(p), dtype=jnp.uint32)
-    order = (jnp.sort(work << _SORTED_BITS | place) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
-    size = min(_CHUNK, len(p))
-    chunks = jnp.pad(order, (0, -len(p) % size), mode="edge").reshape(-1, size)
-    lengths = lax.map(lambda chunk: _around_corners_at_once(tables, p[chunk], q[chunk]), chunks)
-    return jnp.zeros(len(p), jnp.int32).at[chunks].set(lengths)
+def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+    """As above, of at most so many pairs as are sorted at once."""
+    chunks = _sorted_chunks(*(_blocks_of(tables, cells)[1] for cells in (p, q)))
+    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk]), chunks)
+    length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
+    chunks = _sorted_chunks(*(lax.population_count(blocks).astype(jnp.int32) for blocks in left))
+
+    def of_chunk(chunk: Int32[Array, "size"]) -> Int32[Array, "size"]:
+        ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
+        return _least_of_those_left(tables, *ends, length[chunk])
+
+    return length.at[chunks].set(lax.map(of_chunk, chunks))
 
 
-def _around_corners_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of pairs with about as many blocks of corners."""
+def _sorted_chunks(work: Int32[Array, "n"], more_work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
+    """Numbers of pairs, those with about as much work side by side."""
+    first, then = (jnp.minimum(one, _MOST_TOLD).astype(jnp.uint32) for one in (work, more_work))
+    place = jnp.arange(len(work), dtype=jnp.uint32)
+    key = (first * (_MOST_TOLD + 1) + then) << _SORTED_BITS | place
+    order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
+    size = min(_CHUNK, len(work))
+    return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
-    def to_other_cell(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
-        def to(others: Int32[Array, "n 4"]) -> Int32[Array, "n 4 4"]:
-            return _lengths_between(tables, corners[:, :, None], others[:, None])
 
-        return _least_around(tables, q, to, corners.shape)
+def _most_likely(
+    tables: GridTables, p: Cells, q: Cells
+) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
+    """Length of the way over the corners of both cells nearest to both, and which blocks may have better corners.
 
-    return _least_around(tables, p, to_other_cell, p.shape[:1])
+    No path over a corner is shorter than the open way over it.
+    """
+    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q), _nearest_to_both(tables, q, p)
+    way = leg + _lengths_between(tables, corner, other) + other_leg
+    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
+    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
+    length = jnp.where(sees(tables.sight, p, q), open_way, length)
+    to_beat = jnp.where(length < FAR, length, 0)  # if no path joins these corners none joins any
+    return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
+
+
+def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
+    """The corner of each cell on the shortest open way to another, and how far the cell is from it."""
+    first, count = _blocks_of(tables, cells)
+
+    def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
+        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        least = ways.min(axis=1)
+        corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
+        nearer = least < best[0]
+        return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
+
+    far = jnp.full(len(cells), FAR, jnp.int32)
+    _, corner = lax.fori_loop(0, count.max(), with_block, (far, jnp.zeros_like(far)))
+    return corner, jnp.where(count > 0, _legs(tables, cells, corner[:, None])[:, 0], FAR)
+
+
+def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
+    """Which of the first 32 blocks of each cell have a corner whose open way to another is shorter than a path."""
+    first, count = _blocks_of(tables, cells)
+
+    def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
+        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        better = (ways.min(axis=1) < length) & (block < count)
+        return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
+
+    none = jnp.zeros(len(cells), jnp.uint32)
+    return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
+
+
+class _Left(NamedTuple):
+    """Cells, and which of the first 32 blocks of each may have better corners; of those behind these all may."""
+
+    cells: Cells
+    blocks: UInt32[Array, "n"]
+
+    def words(self, tables: GridTables) -> Int32[Array, ""]:
+        """How many words with a bit for each block there are."""
+        return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
+
+    def word(self, tables: GridTables, number: Int[Array, ""]) -> UInt32[Array, "n"]:
+        """One of these words."""
+        behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
+        every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
+        return jnp.where(number == 0, self.blocks, every)
+
+    def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
+        """Those of the block of the lowest bit; of any one without a bit."""
+        place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
+        first, _ = _blocks_of(tables, self.cells)
+        return _gather(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
+
+
+def _least_of_those_left(
+    tables: GridTables, left: _Left, others_left: _Left, length: Int32[Array, "n"]
+) -> Int32[Array, "n"]:
+    """The length, or less over a corner of a block that is left, a corner of one of the other's, and to the other."""
+
+    def with_words(words: Int[Array, ""], length: Int32[Array, "n"]) -> Int32[Array, "n"]:
+        word, other_word = jnp.divmod(words, others_left.words(tables))
+        blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
+
+        def with_block(state: _BitsAndLength) -> _BitsAndLength:
+            block, length = state
+            corners = left.corners(tables, word, block)
+            legs = _legs(tables, left.cells, corners)
+
+            def with_other_block(state: _BitsAndLength) -> _BitsAndLength:
+                bits, length = state
+                others = others_left.corners(tables, other_word, bits)
+                other_legs = _legs(tables, others_left.cells, others)[:, None]
+                between = _lengths_between(tables, corners[:, :, None], others[:, None])
+                way = (legs[:, :, None] + between + other_legs).min(axis=(1, 2))
+                both = (block != 0) & (bits != 0)
+                return bits & (bits - 1), jnp.where(both, jnp.minimum(length, way), length)
+
+            _, length = lax.while_loop(_some_left, with_other_block, (other_blocks, length))
+            return block & (block - 1), length
+
+        return lax.while_loop(_some_left, with_block, (blocks, length))[1]
+
+    return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
+
+
+_BitsAndLength = tuple[UInt32[Array, "n"], Int32[Array, "n"]]
+
+
+def _some_left(state: _BitsAndLength) -> Bool[Array, ""]:
+    return (state[0] != 0).any()
+
+
+def _lengths_from(
+    tables: GridTables, corner: Int32[Array, "n"]
+) -> Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]]:
+    return lambda corners: _lengths_between(tables, corner[:, None], corners)
+
+
+def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
+    """Open lengths between cells and corners."""
+    rows, columns = (_gather(table, corners) for table in (tables.row, tables.column))
+    return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
 
 
 def _least_around(
     tables: GridTables,
     cells: Cells,
-    onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n *ends 4"]],
+    onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
-) -> Int32[Array, "n *ends"]:
-    """Least length of a path from each cell by way of one of its corners to one or more ends; far if it has none.
+) -> Int32[Array, "n"]:
+    """Least length of a path from each cell by way of one of its corners to one end; far if it has none.
 
     ``onward`` gives the lengths of the rest of the way, from four corners of each cell.
     """
     first, count = _blocks_of(tables, cells)
-    alike = (len(cells), *(1 for _ in shape[1:]))
 
-    def with_block(block: Int[Array, ""], least: Int32[Array, "n *ends"]) -> Int32[Array, "n *ends"]:
+    def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
         # Of a cell with fewer blocks its last one, again.
         corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
-        row, column = jnp.divmod(_gather(tables.places, corners), np.uint32(tables.shape[1]))
-        rows, columns = (
-            jnp.abs(row.astype(jnp.int32) - cells[:, :1]),
-            jnp.abs(column.astype(jnp.int32) - cells[:, 1:]),
-        )
-        legs = open_length(tables.connectivity, rows, columns)
-        return jnp.minimum(least, (legs.reshape(*alike, -1) + onward(corners)).min(axis=-1))
+        return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
     far = jnp.full(shape, FAR, jnp.int32)
-    return jnp.where(count.reshape(alike) > 0, lax.fori_loop(0, count.max(), with_block, far), far)
+    return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
 def _where_seen(tables: GridTables, p: Cells, q: Cells, around: Int32[Array, "n"]) -> Int32[Array, "n"]:
