@@ -13,6 +13,7 @@ from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
+from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
 
@@ -182,6 +183,30 @@ class GridPairs:
         """
         lower = self(x, y)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
+
+    def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
+        """Steps to goals from all cells around agents, as many rows and columns to each side as ``radius``.
+
+        A function is compiled for each number of agents and radius. It may be called in jitted functions.
+
+        Args:
+            goals: A point of the goal's cell of each agent, ``(n, 2)``.
+            positions: A point of the cell that each agent is in, ``(n, 2)``.
+            radius: Cells to each side, at least 0.
+
+        Returns:
+            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, by rows and columns, in steps; of 8-connected grids
+            rounded down to whole ones. -1 in cells from which no path leads to the goal: blocked ones, those outside
+            the grid, and all where the agent is outside of it, or the goal is or is blocked.
+
+        Raises:
+            ValueError: If the points have other shapes, or the radius is no such number.
+        """
+        require_integer("radius", radius, 0)
+        goals, positions = _as_points("goals", goals), _as_points("positions", positions)
+        if goals.ndim != 2 or goals.shape != positions.shape:
+            raise ValueError(f"goals and positions must be (n, 2) both, got {goals.shape} and {positions.shape}.")
+        return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
         """Distances to one cell, several times as fast a query.

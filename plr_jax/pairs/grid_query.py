@@ -126,8 +126,8 @@ def evaluate_pairs(
 ) -> Float[Array, "*batch"]:
     """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
     batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (_cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
-    return _in_steps(tables, _lengths(tables, p, q), p_inside & q_inside).reshape(batch)
+    (p, p_inside), (q, q_inside) = (cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
+    return _in_steps(tables, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
 
 
 @jax.jit
@@ -135,7 +135,7 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """As :func:`evaluate_pairs`, with one cell whose distance from each corner is known."""
-    p, inside = _cells_of(tables, x.reshape(-1, 2))
+    p, inside = cells_of(tables, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
@@ -158,14 +158,14 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     )
 
 
-def _cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
     """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
     place = jnp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < jnp.asarray(tables.shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
-def _lengths(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
     """Lengths in units of shortest paths between cells, at least ``FAR`` without one."""
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
