@@ -291,6 +291,7 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
     "plr-jax export maze.plr -o plr_maze.h",
     "plr-jax export maze.plr -o include/maze.h --name level_1",
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
+    "plr-jax export grid.pairs --c -o grid.h",
 )
 def export(
     file: FileArgument,
@@ -306,7 +307,8 @@ def export(
 ) -> None:
     """Write a file as code that answers points: without heap, and bit for bit what query prints.
 
-    Of pairs, the distance to one goal.
+    Of pairs, the distance to one goal. Of pairs of a grid, all of them: the header reads a file of tables, of the
+    same name with .table, which programs map.
     """
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import load_numpy
@@ -315,16 +317,34 @@ def export(
     is_of_pairs = _holds_pairs(file)
     if goal is not None and not is_of_pairs:
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
-    plr = _to_goal(_loaded(file), file, goal) if is_of_pairs else load_numpy(file)
-    if not hasattr(plr, "c_header"):
-        raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
-    text = plr.c_header(output.stem if name is None else name)
+    name = output.stem if name is None else name
+    held = _loaded(file) if is_of_pairs else None
+    if hasattr(held, "window"):
+        if goal is not None:
+            raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
+        _export_grid(held, output, name, file)
+        return
+    plr = _to_goal(held, file, goal) if is_of_pairs else load_numpy(file)
+    text = plr.c_header(name)
     write_atomically(output, text.encode())
     (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
     typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
 
 
-def _to_goal(pairs: "PairPLR | GridPairs", file: Path, goal: str | None) -> Any:
+def _export_grid(pairs: Any, output: Path, name: str, file: Path) -> None:
+    """Write the header of pairs of a grid and, beside it, its file of tables."""
+    from plr_jax._atomic import write_atomically
+
+    header, table = pairs.c_header(name), output.with_suffix(".table")
+    require_writable(table, inputs=(file,))
+    write_atomically(table, header.table)
+    write_atomically(output, header.text.encode())
+    typer.echo(
+        f"wrote {output}: {len(header.text):,} bytes of text, and {table}: {len(header.table):,} bytes of tables"
+    )
+
+
+def _to_goal(pairs: Any, file: Path, goal: str | None) -> Any:
     """The distance to the goal by the pairs in a file."""
     if goal is None:
         raise ValueError(f"{file} holds the distance between any two points: give one with --goal X,Y.")

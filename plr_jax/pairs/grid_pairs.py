@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
+from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
 from plr_jax.pairs.grid_window import distances_around
@@ -249,6 +250,24 @@ class GridPairs:
     def to_bytes(self) -> bytes:
         """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
         return np.asarray(self.file).tobytes()
+
+    def c_header(self, name: str) -> GridHeader:
+        """Code of C99, also valid C++, that answers as this does, and the file of tables that it reads.
+
+        ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their numbers in row-major order. Programs
+        map the file (``mmap``) or read it, and give its bytes to ``NAME_open``. Nothing is allocated, and threads
+        may ask at once.
+
+        Args:
+            name: With which all that the header defines begins, an identifier of C.
+
+        Returns:
+            The ``text`` of the header, and the bytes of its ``table``.
+
+        Raises:
+            ValueError: If the name is no identifier.
+        """
+        return grid_header(self.tables, name)
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":

@@ -28,6 +28,9 @@ from plr_jax.pairs.grid_sight import Cells, IllegalSteps, narrow, sees, sight_of
 BLOCK = 4
 """Corners of a cell that a query reads at once."""
 
+GROUP = 16
+"""Cells whose blocks are counted from where those of the first begin."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -71,8 +74,8 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
     """The tables of a grid."""
     first, corners = taut_corners(free, connectivity)
     first_block, blocks = _in_blocks(first, corners)
-    group_block = first_block[::_GROUP]
-    cell_block = first_block - np.repeat(group_block, _GROUP)[: len(first_block)]
+    group_block = first_block[::GROUP]
+    cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     distances = corner_distances(free, connectivity)
     tables = (
         blocks,
@@ -107,7 +110,6 @@ def _in_blocks(
     return first_block, blocks
 
 
-_GROUP = 16  # cells
 _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # of the place of a pair among those that are sorted at once
 _CHUNK = 1024  # pairs taken at once
@@ -348,7 +350,7 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
     """Where the blocks of each cell's corners begin, and how many there are."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
-        _gather(tables.group_block, one // _GROUP) + _gather(tables.cell_block, one).astype(jnp.int32)
+        _gather(tables.group_block, one // GROUP) + _gather(tables.cell_block, one).astype(jnp.int32)
         for one in (cell, cell + 1)
     )
     return first, end - first

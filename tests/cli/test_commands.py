@@ -101,9 +101,13 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
         done("plot", path, "--goal", "0.1,0.1", "--kind", kind, "-o", tmp_path / "a.png")
     done("export", points, "--goal", "0.1,0.1", "-o", tmp_path / "maze.h")
     assert (tmp_path / "maze.h").read_text() == load(points).to((0.1, 0.1)).c_header("maze")
+    assert "grid.table" in done("export", grid, "--c", "-o", tmp_path / "grid.h")
+    header = load(grid).c_header("grid")
+    assert (tmp_path / "grid.h").read_text() == header.text
+    assert (tmp_path / "grid.table").read_bytes() == header.table
     for arguments, message in (
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
-        (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "cells of a grid, of which no code"),
+        (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),
         (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "only the distance is drawn"),
         (["query", points, "--gradient"], "--gradient is for PLRs"),
