@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from plr_jax._arrays import shortened
-from plr_jax.pairs.grid_corners import FAR
+from plr_jax.pairs.grid_corners import FAR, CornerTable
 from plr_jax.pairs.grid_query import BLOCK, GROUP, GridTables
 from plr_jax.pairs.grid_sectors import open_length, units
 
@@ -49,9 +49,7 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
         "blocks": tables.blocks,
         "row": tables.row,
         "column": tables.column,
-        "center": tables.center,
-        "between": tables.between_centers,
-        "differences": tables.differences,
+        **vars(tables.distances),
     }
     parts, lines, size = [_MAGIC], [], len(_MAGIC)
     for of, array in arrays.items():
@@ -63,7 +61,9 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
     table = b"".join(parts)
     table += zlib.crc32(table).to_bytes(4, "little")
     sight = _SIGHT_4 if tables.connectivity == 4 else _SIGHT_8
-    text = _HEADER.replace("@SIGHT@", sight).replace("@ARRAYS@", "\n".join(lines))
+    is_table = isinstance(tables.distances, CornerTable)
+    text = _HEADER.replace("@SIGHT@", sight).replace("@DISTANCES@", _BY_TABLE if is_table else _BY_LABELS)
+    text = text.replace("@ARRAYS@", "\n".join(lines))
     first = np.asarray(tables.group_block)[np.arange(len(tables.cell_block)) // GROUP] + np.asarray(tables.cell_block)
     rows, columns = tables.shape
     constants = {
@@ -74,7 +74,7 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
         "SIZE": f"{len(table):,}",
         "BYTES": len(table),
         "CRC": int.from_bytes(table[-4:], "little"),
-        "CENTERS": round(len(tables.between_centers) ** 0.5),
+        "CENTERS": len(tables.distances.between_centers) if isinstance(tables.distances, CornerTable) else 0,
         "MOST": BLOCK * max(int(np.diff(first).max()), 1),
         "FAR": FAR,
         "UNIT": units(tables.connectivity),
@@ -161,13 +161,7 @@ static inline int @NAME@_is_free(uint32_t cell)
     return (int)((uint32_t)@NAME@_free(cell >> 5) >> (cell & 31u) & 1u);
 }
 @SIGHT@
-static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
-{
-    const uint32_t high = (uint32_t)(a > b ? a : b), low = (uint32_t)(a > b ? b : a);
-    return @NAME@_between((uint32_t)@NAME@_center((uint32_t)a) * @CENTERS@u + (uint32_t)@NAME@_center((uint32_t)b))
-        + @NAME@_differences(high * (high + 1) / 2 + low);
-}
-
+@DISTANCES@
 /* Corners of a cell, how far it is from each, and the open way from there to another cell. */
 static inline uint32_t @NAME@_corners(
     uint32_t cell, int32_t row, int32_t column, int32_t to_row, int32_t to_column, int32_t *corner, int32_t *leg,
@@ -236,6 +230,30 @@ static inline void @NAME@_steps_of_pairs(const uint32_t *from, const uint32_t *t
 }
 
 #endif
+"""
+
+_BY_TABLE = """\
+static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
+{
+    const uint32_t high = (uint32_t)(a > b ? a : b), low = (uint32_t)(a > b ? b : a);
+    const uint32_t center = (uint32_t)@NAME@_center((uint32_t)a), other = (uint32_t)@NAME@_center((uint32_t)b);
+    return @NAME@_between_centers(center * @CENTERS@u + other) + @NAME@_differences(high * (high + 1) / 2 + low);
+}
+"""
+
+_BY_LABELS = """\
+/* The least sum over common ancestors, which are those that lists of ancestors begin with. */
+static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
+{
+    uint32_t i = (uint32_t)@NAME@_first((uint32_t)a), j = (uint32_t)@NAME@_first((uint32_t)b);
+    const uint32_t end = (uint32_t)@NAME@_first((uint32_t)a + 1), other_end = (uint32_t)@NAME@_first((uint32_t)b + 1);
+    int32_t least = @FAR@;
+    for (; i < end && j < other_end && @NAME@_ancestor(i) == @NAME@_ancestor(j); ++i, ++j) {
+        const int32_t length = @NAME@_length(i) + @NAME@_length(j);
+        least = length < least ? length : least;
+    }
+    return least;
+}
 """
 
 _SIGHT_4 = """

@@ -11,9 +11,10 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
+from plr_jax.oracles import GridGraph
 from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
-from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
+from plr_jax.pairs.grid_sectors import CONNECTIVITIES
 from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
@@ -70,9 +71,6 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     if not body.at_end():
         raise ValueError("it holds more data than its cells need")
     return np.logical_xor.accumulate(differs, axis=0), connectivity
-
-
-_MOST_CORNERS = 2**14  # whose distances take half a gigabyte
 
 
 @jax.tree_util.register_dataclass
@@ -244,7 +242,7 @@ class GridPairs:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners; the distances between them take the square of it."""
+        """Number of corners of obstacles."""
         return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
@@ -280,8 +278,8 @@ class GridPairs:
             The distances of pairs.
 
         Raises:
-            ValueError: If the bytes are truncated, corrupt, or none of such a file, or the grid has more than 2**22
-                cells or 2**14 corners.
+            ValueError: If the bytes are truncated, corrupt, or none of such a file, or as for
+                :func:`construct_grid_pairs`.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise ValueError(f"The bytes of a file are expected, got {shortened(data)}.")
@@ -290,25 +288,35 @@ class GridPairs:
         return _of_grid(free, connectivity, data)
 
 
-def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> GridPairs:
+def construct_grid_pairs(graph: CellGraph | ArrayLike, *, max_bytes: int | None = None) -> GridPairs:
     """Distances between all pairs of cells of a grid.
 
+    Of two million cells of a game's map that takes some seconds, and a gigabyte; most of it goes with the number of
+    cells times that of corners which each is taut at. Up to 2**14 corners of obstacles all distances between these
+    are kept; of more, as mazes have, those that narrow passages leave over.
+
     Args:
-        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells.
+        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
+            free, ``(rows, columns)``, of a 4-connected one.
         max_bytes: The largest file that will do. None: any.
 
     Returns:
         The distances, a pytree.
 
     Raises:
-        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells or 2**14 corners,
-            or its paths are longer than a million steps.
+        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells, its paths are
+            longer than a million steps, or it has more than 2**14 corners in passages that are so wide that distances
+            between them would not fit into memory.
 
     References:
         See ``plr_jax/pairs/GRIDS.md``.
     """
     if not isinstance(graph, CellGraph):
-        raise ValueError(f"graph must be a grid, such as GridGraph(free), got {shortened(graph)}.")
+        try:
+            graph = GridGraph(graph)
+        except ValueError as error:
+            message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
+            raise ValueError(message) from error
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     data = encode_grid(graph.free, graph.connectivity)
@@ -320,12 +328,6 @@ def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> G
 
 
 def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: bytes) -> GridPairs:
-    num_corners = np.count_nonzero(corner_cells(free))
-    if num_corners > _MOST_CORNERS:
-        raise ValueError(
-            f"The grid's obstacles have {num_corners} corners, more than {_MOST_CORNERS}, whose distances would not "
-            "fit into memory; cut the map into parts."
-        )
     return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
 
 

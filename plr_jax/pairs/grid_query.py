@@ -8,7 +8,6 @@ many are left, and taken in chunks of pairs of about as many.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isqrt
 from typing import NamedTuple
 
 import jax
@@ -18,9 +17,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
 from plr_jax._arrays import parts, runs
-from plr_jax.pairs.grid_corners import FAR, corner_distances
+from plr_jax.pairs.grid_corners import FAR, CornerLabels, CornerTable, corner_distances
 from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
-from plr_jax.pairs.grid_sight import Cells, IllegalSteps, narrow, sees, sight_of
+from plr_jax.pairs.grid_sight import Cells, IllegalSteps, looked_up, narrow, sees, sight_of
 
 # What a query of pairs reads: all derived from the cells of a grid.
 
@@ -44,9 +43,7 @@ class GridTables:
         blocks: Numbers of corners; the last of a cell is repeated to fill its last block.
         row: Row of each corner.
         column: Column of each corner.
-        center: Center of each corner.
-        between_centers: Their distances in units, row by row; at least ``FAR`` if there is no path.
-        differences: How much longer the way from each corner to those before it and to itself is.
+        distances: Those between corners.
     """
 
     sight: IllegalSteps
@@ -55,9 +52,7 @@ class GridTables:
     blocks: Integer[Array, "blocks 4"]
     row: Int32[Array, "corners"]
     column: Int32[Array, "corners"]
-    center: Integer[Array, "corners"]
-    between_centers: Int32[Array, "center_pairs"]
-    differences: Integer[Array, "pairs"]
+    distances: CornerTable | CornerLabels
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,22 +71,22 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
     first_block, blocks = _in_blocks(first, corners)
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
-    distances = corner_distances(free, connectivity)
-    tables = (
-        blocks,
-        *(places.astype(np.int32) for places in np.nonzero(corner_cells(free))),
-        narrow(distances.center),
-        distances.between_centers.ravel(),
-        distances.differences,
-    )
-    # What is empty is read as well, though what is read is not used.
-    tables = (table if len(table) else np.zeros((1, *table.shape[1:]), table.dtype) for table in tables)
-    return GridTables(
+    row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
+    tables = GridTables(
         sight_of(free, connectivity),
         jnp.asarray(group_block, jnp.int32),
         jnp.asarray(narrow(cell_block)),
-        *map(jnp.asarray, tables),
+        jnp.asarray(blocks),
+        jnp.asarray(row),
+        jnp.asarray(column),
+        distances=corner_distances(free, connectivity),
     )
+    return jax.tree_util.tree_map(_not_empty, tables)
+
+
+def _not_empty(table: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
+    """The table, or zeros: what is empty is read as well, though what is read is not used."""
+    return table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype)
 
 
 def _in_blocks(
@@ -143,7 +138,7 @@ def evaluate_to(
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
 
     def to_goal(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
-        return _gather(from_goal, corners)
+        return looked_up(from_goal, corners)
 
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
     lengths = _where_seen(tables, p, q, around.reshape(-1)[: len(p)])
@@ -156,7 +151,7 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
-        tables, cells, lambda corners: _lengths_between(tables, every[:, None], corners), every.shape
+        tables, cells, lambda corners: tables.distances.between(every[:, None], corners), every.shape
     )
 
 
@@ -207,7 +202,7 @@ def _most_likely(
     No path over a corner is shorter than the open way over it.
     """
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q), _nearest_to_both(tables, q, p)
-    way = leg + _lengths_between(tables, corner, other) + other_leg
+    way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
     length = jnp.where(sees(tables.sight, p, q), open_way, length)
@@ -220,7 +215,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells) -> tuple[I
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
-        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = ways.min(axis=1)
         corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
@@ -237,7 +232,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int3
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
-        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         better = (ways.min(axis=1) < length) & (block < count)
         return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
@@ -266,7 +261,7 @@ class _Left(NamedTuple):
         """Those of the block of the lowest bit; of any one without a bit."""
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
-        return _gather(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
+        return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
 
 
 def _least_of_those_left(
@@ -287,7 +282,7 @@ def _least_of_those_left(
                 bits, length = state
                 others = others_left.corners(tables, other_word, bits)
                 other_legs = _legs(tables, others_left.cells, others)[:, None]
-                between = _lengths_between(tables, corners[:, :, None], others[:, None])
+                between = tables.distances.between(corners[:, :, None], others[:, None])
                 way = (legs[:, :, None] + between + other_legs).min(axis=(1, 2))
                 both = (block != 0) & (bits != 0)
                 return bits & (bits - 1), jnp.where(both, jnp.minimum(length, way), length)
@@ -310,12 +305,12 @@ def _some_left(state: _BitsAndLength) -> Bool[Array, ""]:
 def _lengths_from(
     tables: GridTables, corner: Int32[Array, "n"]
 ) -> Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]]:
-    return lambda corners: _lengths_between(tables, corner[:, None], corners)
+    return lambda corners: tables.distances.between(corner[:, None], corners)
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
     """Open lengths between cells and corners."""
-    rows, columns = (_gather(table, corners) for table in (tables.row, tables.column))
+    rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
     return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
 
 
@@ -333,7 +328,7 @@ def _least_around(
 
     def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
         # Of a cell with fewer blocks its last one, again.
-        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
         return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
     far = jnp.full(shape, FAR, jnp.int32)
@@ -350,23 +345,10 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
     """Where the blocks of each cell's corners begin, and how many there are."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
-        _gather(tables.group_block, one // GROUP) + _gather(tables.cell_block, one).astype(jnp.int32)
+        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
         for one in (cell, cell + 1)
     )
     return first, end - first
-
-
-def _lengths_between(tables: GridTables, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
-    """Distances in units between corners."""
-    high, low = jnp.maximum(a, b), jnp.minimum(a, b)
-    center, other = (_gather(tables.center, corner).astype(jnp.int32) for corner in (a, b))
-    between = _gather(tables.between_centers, center * isqrt(len(tables.between_centers)) + other)
-    return between + _gather(tables.differences, (high * (high + 1) >> 1) + low).astype(jnp.int32)
-
-
-def _gather(table: Shaped[Array, "rows ..."], index: Int32[Array, "*n"]) -> Shaped[Array, "..."]:
-    """Rows of a table, by indices that are known to be of it."""
-    return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
 
 
 def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, Integer, UInt32
+from jaxtyping import Array, Bool, Int, Integer, Shaped, UInt32
 
 _WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
 
@@ -142,3 +142,8 @@ def _with_margin(table: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "ro
 def narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
     """The same in as few bytes each as do."""
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
+
+
+def looked_up(table: Shaped[Array, "rows ..."], index: Int[Array, "*n"]) -> Shaped[Array, "..."]:
+    """Rows of a table, by indices that are known to be of it."""
+    return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")

@@ -10,6 +10,7 @@ from grid_helpers import all_pairs, drawn, mosaic
 
 from experiments._c_headers import STRICT
 from plr_jax import GridGraph, construct_grid_pairs
+from plr_jax.pairs import grid_corners
 
 ISLANDS = np.indices((9, 12)).sum(axis=0) % 2 == 0
 
@@ -82,6 +83,11 @@ def test_answers_are_those_of_python(free, connectivity, tmp_path, compiler):
         answers(library, start[[0, 0]], outside) == -1
     ).all()
     del room
+
+
+def test_labels_of_many_corners_are_read_as_well(tmp_path, compiler, monkeypatch):
+    monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
+    test_answers_are_those_of_python(mosaic(3, 2, 9), 8, tmp_path, compiler)
 
 
 def test_other_tables_are_refused_and_headers_are_valid_c_plus_plus(tmp_path, compiler):
