@@ -112,8 +112,10 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
         ValueError: If paths are so long that their lengths do not fit into 30 bits, or there are more than
             :data:`MOST_IN_TABLE` corners, and too many ancestors.
     """
-    order, uppers = _eliminated(_edges(free, connectivity))
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # to which a query adds the rest
+    if most < 0:
+        raise _too_long(FAR // 2)
+    order, uppers = _eliminated(_edges(free, connectivity))
     if len(order) > MOST_IN_TABLE:
         return _labels(order, uppers, most)
     distances = _all_pairs(order, uppers)

@@ -47,6 +47,7 @@ FAMILIES = {
     "costs": ("--only", "estimates"),
     "volumes": ("--only", "volumes"),
     "living": ("--only", "maps"),
+    "fleets": (),
 }
 
 

@@ -51,8 +51,9 @@ def test_paths_that_are_too_long_are_refused():
     long = np.pad(BLOCK, ((0, 0), (0, 2**20)), constant_values=True)
     long[2, 2**20] = False
     assert lengths(long, 4).max() > 2**20
-    with pytest.raises(ValueError, match="are too long"):
-        corner_distances(long, 8)
+    for free in (long, np.ones((1, 2**20), bool)):
+        with pytest.raises(ValueError, match="are too long"):
+            corner_distances(free, 8)
 
 
 def test_a_corner_of_a_long_corridor_has_few_ancestors(monkeypatch):

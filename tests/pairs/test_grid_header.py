@@ -8,22 +8,17 @@ import numpy as np
 import pytest
 from grid_helpers import all_pairs, drawn, mosaic
 
-from experiments._c_headers import STRICT
+from experiments._c_headers import STRICT, compiled_library
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax.pairs import grid_corners
 
 ISLANDS = np.indices((9, 12)).sum(axis=0) % 2 == 0
 
 
-@pytest.fixture(scope="module")
-def compiler():
-    found = shutil.which("cc")
-    if found is None:
-        pytest.skip("headers are compiled where there is a C compiler called cc")
-    return found
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="headers are compiled by a C compiler called cc")
 
 
-def compiled(pairs, folder, compiler):
+def compiled(pairs, folder):
     """The functions of a header, with its table open."""
     header = pairs.c_header("here")
     (folder / "here.h").write_text(header.text)
@@ -40,10 +35,7 @@ def compiled(pairs, folder, compiler):
     code = ['#include "here.h"']
     for name, (of, arguments, call) in signatures.items():
         code += [f"{of} {name}({arguments});", f"{of} {name}({arguments}) {{ {call}; }}"]
-    (folder / "many.c").write_text("\n".join(code) + "\n")
-    options = ["-std=c99", *STRICT, "-O2", "-shared", "-fPIC"]
-    subprocess.run([compiler, *options, folder / "many.c", "-o", folder / "many.so"], check=True)
-    return ctypes.CDLL(str(folder / "many.so")), header
+    return compiled_library("\n".join(code) + "\n", folder), header
 
 
 def opened(library, data):
@@ -66,9 +58,9 @@ def answers(library, start, end):
 @pytest.mark.parametrize(
     "free", [mosaic(0, 2, 11), ISLANDS, drawn("."), drawn("##")], ids=["mosaic", "islands", "one", "none"]
 )
-def test_answers_are_those_of_python(free, connectivity, tmp_path, compiler):
+def test_answers_are_those_of_python(free, connectivity, tmp_path):
     pairs = construct_grid_pairs(GridGraph(free, connectivity=connectivity))
-    library, header = compiled(pairs, tmp_path, compiler)
+    library, header = compiled(pairs, tmp_path)
     is_open, room = opened(library, header.table)
     assert is_open == 1 and library.checked() == 1
     x, y = all_pairs(np.ones_like(free))
@@ -85,14 +77,14 @@ def test_answers_are_those_of_python(free, connectivity, tmp_path, compiler):
     del room
 
 
-def test_labels_of_many_corners_are_read_as_well(tmp_path, compiler, monkeypatch):
+def test_labels_of_many_corners_are_read_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
-    test_answers_are_those_of_python(mosaic(3, 2, 9), 8, tmp_path, compiler)
+    test_answers_are_those_of_python(mosaic(3, 2, 9), 8, tmp_path)
 
 
-def test_other_tables_are_refused_and_headers_are_valid_c_plus_plus(tmp_path, compiler):
+def test_other_tables_are_refused_and_headers_are_valid_c_plus_plus(tmp_path):
     pairs = [construct_grid_pairs(GridGraph(mosaic(seed, 2, 8))) for seed in range(2)]
-    library, header = compiled(pairs[0], tmp_path, compiler)
+    library, header = compiled(pairs[0], tmp_path)
     assert opened(library, pairs[1].c_header("here").table)[0] == 0
     assert opened(library, header.table[:-1])[0] == 0 and opened(library, b"x" + header.table[1:])[0] == 0
     damaged = header.table[:100] + bytes([header.table[100] ^ 1]) + header.table[101:]
