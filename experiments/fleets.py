@@ -62,7 +62,7 @@ def _grids():
 def terrain(
     shape: tuple[int, int], num_free: int, grain: int, smoothness: float, seed: int
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Land in blocks of cells, of which exactly so many are free: those of a band of heights if few, else low ones."""
+    """Land in blocks of cells, of which so many are free: those of a band of heights if few, else the lowest."""
     coarse = tuple(-(-size // grain) for size in shape)
     height = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=coarse), smoothness)
     height = abs(height) if 2 * num_free < shape[0] * shape[1] else height

@@ -125,9 +125,10 @@ class GridPairs:
 
     Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
     quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
-    from it when it is loaded, in about a second. On 4-connected grids answers are exact. On 8-connected ones they are
-    as exact as 32-bit floats, always rounded down, by less than 1e-6 of themselves; whole numbers of straight
-    steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
+    from it when it is loaded, in as much time as building took: a second, or some of two million cells. On
+    4-connected grids answers are exact. On 8-connected ones they are as exact as 32-bit floats, always rounded down,
+    by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
+    proof.
 
     It is a pytree of arrays: a jitted function can close over it or take it as an argument.
 
