@@ -39,11 +39,7 @@ class CompiledHeader:
             signature = f"void {function}(const {of_c} *x, {of_answers} *y, uint32_t n)"
             code += [f"{signature};", signature, "{", "    for (uint32_t i = 0; i < n; ++i) {", f"        {call}"]
             code += ["    }", "}"]
-        (folder / "many.c").write_text("\n".join(code) + "\n")
-        library = folder / "many.so"
-        options = [*_C99, "-O2", "-shared", "-fPIC"]
-        subprocess.run([compiler(), *options, str(folder / "many.c"), "-o", str(library), "-lm"], check=True)
-        self.library = ctypes.CDLL(str(library))
+        self.library = compiled_library("\n".join(code) + "\n", folder)
 
     def __call__(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         return self._answers(self.library.distances, x, np.empty(len(x), np.float32))
@@ -69,6 +65,15 @@ def compiler() -> str:
     if found is None:
         raise RuntimeError("This needs a C compiler called cc.")
     return found
+
+
+def compiled_library(code: str, folder: Path) -> ctypes.CDLL:
+    """A program of C99, compiled in a folder."""
+    (folder / "many.c").write_text(code)
+    library = folder / "many.so"
+    options = [*_C99, "-O2", "-shared", "-fPIC"]
+    subprocess.run([compiler(), *options, str(folder / "many.c"), "-o", str(library), "-lm"], check=True)
+    return ctypes.CDLL(str(library))
 
 
 def compiled_header(plr: PLR | NumpyPLR, folder: Path) -> CompiledHeader:

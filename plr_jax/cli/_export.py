@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -27,6 +27,7 @@ from plr_jax.cli._options import (
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
     "plr-jax export maze.plr -o maze.h --tables maze.tables",
     "plr-jax export maze.plr --js -o maze.mjs",
+    "plr-jax export grid.pairs -o grid.h",
 )
 def export(
     file: FileArgument,
@@ -54,7 +55,8 @@ def export(
 ) -> None:
     """Write a file as code that answers points, bit for bit what query prints, and needs nothing else.
 
-    Of pairs, the distance to one goal; as JavaScript, without one, that between any two points.
+    Of pairs, the distance to one goal; as JavaScript, without one, that between any two points. Of pairs of a grid,
+    steps between any two cells: their header reads a file of tables, which programs map, by default beside it.
     """
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import load_numpy
@@ -68,11 +70,16 @@ def export(
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
     if is_of_pairs:
         pairs = loaded(file)
+        if hasattr(pairs, "window") and not js:
+            if goal is not None:
+                raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
+            _export_grid(pairs, file, output, tables, name)
+            return
         plr = pairs if js and goal is None else goal_of_pairs(pairs, file, goal)
     else:
         plr = load_numpy(file)
-    if not hasattr(plr, "js_module" if js else "c_header"):
-        raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
+    if js and not hasattr(plr, "js_module"):
+        raise ValueError(f"{file} holds pairs of cells of a grid, of which no module of JavaScript is written.")
     header = output.stem if name is None else name
     text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)
     write_atomically(output, text.encode())
@@ -85,6 +92,19 @@ def export(
         return
     (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
     typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
+
+
+def _export_grid(pairs: Any, file: Path, output: Path, tables: Path | None, name: str | None) -> None:
+    """Write the header of pairs of a grid, and its file of tables."""
+    from plr_jax._atomic import write_atomically
+
+    tables = output.with_suffix(".tables") if tables is None else tables
+    require_writable(tables, (".tables", ".bin"), inputs=(file,))
+    header = pairs.c_header(output.stem if name is None else name)
+    write_atomically(tables, header.table)
+    write_atomically(output, header.text.encode())
+    size = f"{len(header.text):,} bytes of text, and {tables}: {len(header.table):,} bytes"
+    typer.echo(f"wrote {output}: {size}")
 
 
 @command(

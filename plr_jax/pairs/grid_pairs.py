@@ -11,8 +11,11 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
+from plr_jax.oracles import GridGraph
+from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
-from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
+from plr_jax.pairs.grid_sectors import CONNECTIVITIES
+from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
 
@@ -70,9 +73,6 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     return np.logical_xor.accumulate(differs, axis=0), connectivity
 
 
-_MOST_CORNERS = 2**14  # whose distances take half a gigabyte
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class DistanceToCell:
@@ -125,9 +125,10 @@ class GridPairs:
 
     Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
     quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
-    from it when it is loaded, in about a second. On 4-connected grids answers are exact. On 8-connected ones they are
-    as exact as 32-bit floats, always rounded down, by less than 1e-6 of themselves; whole numbers of straight
-    steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
+    from it when it is loaded, in as much time as building took: a second, or some of two million cells. On
+    4-connected grids answers are exact. On 8-connected ones they are as exact as 32-bit floats, always rounded down,
+    by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
+    proof.
 
     It is a pytree of arrays: a jitted function can close over it or take it as an argument.
 
@@ -183,6 +184,30 @@ class GridPairs:
         lower = self(x, y)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
+    def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
+        """Steps to goals from all cells around agents, as many rows and columns to each side as ``radius``.
+
+        A function is compiled for each number of agents and radius. It may be called in jitted functions.
+
+        Args:
+            goals: A point of the goal's cell of each agent, ``(n, 2)``.
+            positions: A point of the cell that each agent is in, ``(n, 2)``.
+            radius: Cells to each side, at least 0.
+
+        Returns:
+            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, by rows and columns, in steps; of 8-connected grids
+            rounded down to whole ones. -1 in cells from which no path leads to the goal: blocked ones, those outside
+            the grid, and all where the agent is outside of it, or the goal is or is blocked.
+
+        Raises:
+            ValueError: If the points have other shapes, or the radius is no such number.
+        """
+        require_integer("radius", radius, 0)
+        goals, positions = _as_points("goals", goals), _as_points("positions", positions)
+        if goals.ndim != 2 or goals.shape != positions.shape:
+            raise ValueError(f"goals and positions must be (n, 2) both, got {goals.shape} and {positions.shape}.")
+        return distances_around(self.tables, goals, positions, radius=int(radius))
+
     def to(self, goal: ArrayLike) -> DistanceToCell:
         """Distances to one cell, several times as fast a query.
 
@@ -218,12 +243,30 @@ class GridPairs:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners; the distances between them take the square of it."""
-        return len(self.tables.places)
+        """Number of corners of obstacles."""
+        return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
         return np.asarray(self.file).tobytes()
+
+    def c_header(self, name: str) -> GridHeader:
+        """Code of C99, also valid C++, that answers as this does, and the file of tables that it reads.
+
+        ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their numbers in row-major order. Programs
+        map the file (``mmap``) or read it, and give its bytes to ``NAME_open``. Nothing is allocated, and threads
+        may ask at once.
+
+        Args:
+            name: With which all that the header defines begins, an identifier of C.
+
+        Returns:
+            The ``text`` of the header, and the bytes of its ``table``.
+
+        Raises:
+            ValueError: If the name is no identifier.
+        """
+        return grid_header(self.tables, name)
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
@@ -236,8 +279,8 @@ class GridPairs:
             The distances of pairs.
 
         Raises:
-            ValueError: If the bytes are truncated, corrupt, or none of such a file, or the grid has more than 2**22
-                cells or 2**14 corners.
+            ValueError: If the bytes are truncated, corrupt, or none of such a file, or as for
+                :func:`construct_grid_pairs`.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise ValueError(f"The bytes of a file are expected, got {shortened(data)}.")
@@ -246,25 +289,35 @@ class GridPairs:
         return _of_grid(free, connectivity, data)
 
 
-def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> GridPairs:
+def construct_grid_pairs(graph: CellGraph | ArrayLike, *, max_bytes: int | None = None) -> GridPairs:
     """Distances between all pairs of cells of a grid.
 
+    Of two million cells of a game's map that takes some seconds, and a gigabyte; most of it goes with the number of
+    cells times that of corners which each is taut at. Up to 2**14 corners of obstacles all distances between these
+    are kept; of more, as mazes have, those that narrow passages leave over.
+
     Args:
-        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells.
+        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
+            free, ``(rows, columns)``, of a 4-connected one.
         max_bytes: The largest file that will do. None: any.
 
     Returns:
         The distances, a pytree.
 
     Raises:
-        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells or 2**14 corners,
-            or its paths are longer than a million steps.
+        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells, its paths are
+            longer than a million steps, or it has more than 2**14 corners in passages that are so wide that distances
+            between them would not fit into memory.
 
     References:
         See ``plr_jax/pairs/GRIDS.md``.
     """
     if not isinstance(graph, CellGraph):
-        raise ValueError(f"graph must be a grid, such as GridGraph(free), got {shortened(graph)}.")
+        try:
+            graph = GridGraph(graph)
+        except ValueError as error:
+            message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
+            raise ValueError(message) from error
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     data = encode_grid(graph.free, graph.connectivity)
@@ -276,12 +329,6 @@ def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> G
 
 
 def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: bytes) -> GridPairs:
-    num_corners = np.count_nonzero(corner_cells(free))
-    if num_corners > _MOST_CORNERS:
-        raise ValueError(
-            f"The grid's obstacles have {num_corners} corners, more than {_MOST_CORNERS}, whose distances would not "
-            "fit into memory; cut the map into parts."
-        )
     return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
 
 

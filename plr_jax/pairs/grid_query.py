@@ -1,11 +1,14 @@
 """Distances of pairs of cells, in JAX: the open length if they see each other, else the least sum over corners.
 
-Cells have from none to dozens of corners, and a pair takes the product of two such numbers. So pairs are sorted by
-how many blocks of corners their cells have, and taken in chunks of pairs of about as many.
+Cells have from none to dozens of corners, and a pair takes the product of two such numbers. But no path over a
+corner is shorter than the open way over it: once a way is known, over the corners whose open way is the shortest,
+most others need not be looked at. Pairs are sorted by how many blocks of corners their cells have, and again by how
+many are left, and taken in chunks of pairs of about as many.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,122 +16,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
-from plr_jax._arrays import runs
-from plr_jax.pairs.grid_sectors import FAR, corner_cells, corner_distances, open_length, taut_at_corners, units
-
-# Whether cells see each other: illegal steps between them, counted by at most four lookups.
-#
-# Between cells of an 8-connected grid that are not in one row or column, diagonal steps tell: if they are all legal,
-# so are the straight ones. They start in a parallelogram, which is a rectangle in the coordinates ``(row, column -
-# row)``, so that sums over rows and slanted columns count them as a summed-area table counts what is in a rectangle.
-#
-# References:
-#     Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
-
-
-_WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
-
-Cells = Int[Array, "n 2"]
-"""Row and column of each of some cells of the grid."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class IllegalSteps:
-    """Sums that tell which cells see each other, see :func:`sees`.
-
-    Attributes:
-        sums: Tables with a row and a column of zeros before those of the grid, one after the other. Of a 4-connected
-            grid, blocked cells above and before each. Of an 8-connected one, illegal diagonal steps as it is, and
-            mirrored, and blocked cells before each in its row; then these three of the transposed grid.
-        shape: Rows and columns of the grid.
-        connectivity: 4 or 8.
-    """
-
-    sums: Integer[Array, "sums"]
-    shape: tuple[int, int] = field(metadata={"static": True})
-    connectivity: int = field(metadata={"static": True})
-
-
-def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
-    """The sums of a grid."""
-    if connectivity == 4:
-        sums = [_with_margin(~free).cumsum(axis=0).cumsum(axis=1)]
-    else:
-        sums = [
-            table
-            for grid in (free, free.T)
-            for table in (_slanted_sums(grid), _slanted_sums(grid[:, ::-1]), _with_margin(~grid).cumsum(axis=1))
-        ]
-    flat = np.concatenate([table.ravel() for table in sums])
-    return IllegalSteps(jnp.asarray(flat.astype(np.min_scalar_type(flat.max()))), free.shape, connectivity)
-
-
-def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
-    """Whether cells of the grid see each other; blocked ones see none."""
-    return _count_in_rectangles(sight, p, q) == 0 if sight.connectivity == 4 else _count_in_sectors(sight, p, q) == 0
-
-
-def _count_in_rectangles(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Blocked cells in the rectangles between cells."""
-    (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
-    stride = sight.shape[1] + 1
-    above, below = row * stride, (last_row + 1) * stride
-    return _between(sight, below, column, last_column) - _between(sight, above, column, last_column)
-
-
-def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Illegal diagonal steps in the parallelograms between cells; of cells in one line the blocked ones.
-
-    The grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
-    """
-    way = q - p
-    transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
-    mirrored = way[:, 0] * way[:, 1] < 0
-    straight = (way == 0).any(axis=1)
-    rows, columns = sight.shape
-    width = jnp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (jnp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (jnp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
-    row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
-    column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
-
-    table = (
-        (rows + 1)
-        * (columns + 1)
-        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
-    )
-    first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
-    aside = last_row - row
-    until_last = _between(sight, last, column + aside, last_column)
-    return until_last - jnp.where(straight, 0, _between(sight, first, column, last_column - aside))
-
-
-def _between(
-    sight: IllegalSteps, row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]
-) -> Int[Array, "n"]:
-    """What the sums of a row, that begins there, increase by from before a column to the last one."""
-    return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
-
-
-def _slanted_sums(free: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
-    """Illegal diagonal steps that end in the rows until each cell's, at no greater ``column - row``."""
-    legal = free[1:, 1:] & free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:]
-    sums = _with_margin(np.pad(~legal, ((1, 0), (1, 0)))).cumsum(axis=1)
-    for row in range(1, len(sums)):
-        sums[row, 1:] += sums[row - 1, :-1]
-    return sums
-
-
-def _with_margin(table: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
-    return np.pad(table.astype(np.int64), ((1, 0), (1, 0)))
-
+from plr_jax._arrays import parts, runs
+from plr_jax.pairs.grid_corners import FAR, CornerLabels, CornerTable, corner_distances
+from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
+from plr_jax.pairs.grid_sight import Cells, IllegalSteps, looked_up, narrow, sees, sight_of
 
 # What a query of pairs reads: all derived from the cells of a grid.
 
 
 BLOCK = 4
 """Corners of a cell that a query reads at once."""
+
+GROUP = 16
+"""Cells whose blocks are counted from where those of the first begin."""
 
 
 @jax.tree_util.register_dataclass
@@ -138,17 +38,21 @@ class GridTables:
 
     Attributes:
         sight: Which cells see each other.
-        first_block: Where the blocks of each cell begin, in row-major order, and their number.
+        group_block: Where the blocks of each 16 cells begin, in row-major order.
+        cell_block: How much later those of each cell begin; of one more at the end.
         blocks: Numbers of corners; the last of a cell is repeated to fill its last block.
-        places: Cell of each corner, in row-major order.
-        between: Distances in units of each corner to those before it and to itself, ``FAR`` if there is none.
+        row: Row of each corner.
+        column: Column of each corner.
+        distances: Those between corners.
     """
 
     sight: IllegalSteps
-    first_block: Int32[Array, "cells_plus_one"]
+    group_block: Int32[Array, "groups"]
+    cell_block: Integer[Array, "cells_plus_one"]
     blocks: Integer[Array, "blocks 4"]
-    places: UInt32[Array, "corners"]
-    between: Integer[Array, "pairs"]
+    row: Int32[Array, "corners"]
+    column: Int32[Array, "corners"]
+    distances: CornerTable | CornerLabels
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -163,38 +67,49 @@ class GridTables:
 
 def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
     """The tables of a grid."""
-    corner, cell = taut_at_corners(free, connectivity)
-    order = np.lexsort((corner, cell))
-    first_block, blocks = _in_blocks(corner[order], np.bincount(cell, minlength=free.size))
-    places = np.flatnonzero(corner_cells(free))
-    between = corner_distances(free, connectivity)
-    # What is empty is read as well, though what is read is not used.
-    blocks, places, between = (
-        table if len(table) else np.zeros((1, *table.shape[1:]), table.dtype) for table in (blocks, places, between)
+    first, corners = taut_corners(free, connectivity)
+    first_block, blocks = _in_blocks(first, corners)
+    group_block = first_block[::GROUP]
+    cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
+    row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
+    tables = GridTables(
+        sight_of(free, connectivity),
+        jnp.asarray(group_block, jnp.int32),
+        jnp.asarray(narrow(cell_block)),
+        jnp.asarray(blocks),
+        jnp.asarray(row),
+        jnp.asarray(column),
+        distances=corner_distances(free, connectivity),
     )
-    return GridTables(
-        sight=sight_of(free, connectivity),
-        first_block=jnp.asarray(first_block, jnp.int32),
-        blocks=jnp.asarray(blocks, np.min_scalar_type(blocks.max())),
-        places=jnp.asarray(places, jnp.uint32),
-        between=jnp.asarray(between),
-    )
+    return jax.tree_util.tree_map(_not_empty, tables)
+
+
+def _not_empty(table: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
+    """The table, or zeros: what is empty is read as well, though what is read is not used."""
+    return table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype)
 
 
 def _in_blocks(
-    corners: Int[np.ndarray, "pairs"], counts: Int[np.ndarray, "cells"]
-) -> tuple[Int[np.ndarray, "cells_plus_one"], Int[np.ndarray, "blocks 4"]]:
+    first: Int[np.ndarray, "cells_plus_one"], corners: Int32[np.ndarray, "pairs"]
+) -> tuple[Int[np.ndarray, "cells_plus_one"], Integer[np.ndarray, "blocks 4"]]:
     """Where the blocks of each cell begin, and the blocks, of corners that stand cell by cell."""
+    counts = np.diff(first)
     num_blocks = -(-counts // BLOCK)
-    first = np.cumsum(counts) - counts
-    cell, block = runs(num_blocks)
-    place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[cell, None] - 1)
-    return np.concatenate([[0], np.cumsum(num_blocks)]), corners[first[cell, None] + place]
+    first_block = np.concatenate([[0], np.cumsum(num_blocks)])
+    blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
+    for some in parts(num_blocks, _BLOCKS_AT_ONCE):
+        cell, block = runs(num_blocks[some])
+        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
+        begin = first_block[some.start]
+        blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]
+    return first_block, blocks
 
 
-_SORTED_BITS = 14  # of the place of a pair among those that are sorted at once
+_BLOCKS_AT_ONCE = 2**20
+_SORTED_BITS = 18  # of the place of a pair among those that are sorted at once
 _CHUNK = 1024  # pairs taken at once
-_MOST_BLOCKS = 2**8 - 1  # told apart when pairs are sorted
+_MOST_TOLD = 2**7 - 1  # blocks of cells, as told apart when pairs are sorted
+_WORD = 32  # bits
 _ROUNDING = 2.0**-22  # more than what rounding in 32 bits can add, as a share
 
 SLACK = 2.0**-20
@@ -208,9 +123,8 @@ def evaluate_pairs(
 ) -> Float[Array, "*batch"]:
     """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
     batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (_cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
-    lengths = _where_seen(tables, p, q, _around_corners(tables, p, q))
-    return _in_steps(tables, lengths, p_inside & q_inside).reshape(batch)
+    (p, p_inside), (q, q_inside) = (cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
+    return _in_steps(tables, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
 
 
 @jax.jit
@@ -218,13 +132,13 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """As :func:`evaluate_pairs`, with one cell whose distance from each corner is known."""
-    p, inside = _cells_of(tables, x.reshape(-1, 2))
+    p, inside = cells_of(tables, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
 
     def to_goal(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
-        return _gather(from_goal, corners)
+        return looked_up(from_goal, corners)
 
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
     lengths = _where_seen(tables, p, q, around.reshape(-1)[: len(p)])
@@ -234,78 +148,191 @@ def evaluate_to(
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
     """Distance in units of each corner from a cell by way of the corners at which the cell is taut."""
-    every = jnp.arange(len(tables.places), dtype=jnp.int32)
+    every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
-        tables, cells, lambda corners: _lengths_between(tables, every[:, None], corners), every.shape
+        tables, cells, lambda corners: tables.distances.between(every[:, None], corners), every.shape
     )
 
 
-def _cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
     """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
     place = jnp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < jnp.asarray(tables.shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
-def _around_corners(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """Least length of a path from one cell of each pair to a corner, to a corner, and to the other cell."""
+def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+    """Lengths in units of shortest paths between cells, at least ``FAR`` without one."""
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
     pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
-    return lax.map(lambda ends: _around_corners_sorted(tables, *ends), pairs).reshape(-1)[: len(p)]
+    return lax.map(lambda ends: _lengths_at_once(tables, *ends), pairs).reshape(-1)[: len(p)]
 
 
-def _around_corners_sorted(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of at most so many pairs that are sorted at once."""
-    counts = [jnp.minimum(_blocks_of(tables, cells)[1], _MOST_BLOCKS).astype(jnp.uint32) for cells in (p, q)]
-    work = counts[0] * (_MOST_BLOCKS + 1) + counts[1]
-    place = jnp.arange(len(p), dtype=jnp.uint32)
-    order = (jnp.sort(work << _SORTED_BITS | place) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
-    size = min(_CHUNK, len(p))
-    chunks = jnp.pad(order, (0, -len(p) % size), mode="edge").reshape(-1, size)
-    lengths = lax.map(lambda chunk: _around_corners_at_once(tables, p[chunk], q[chunk]), chunks)
-    return jnp.zeros(len(p), jnp.int32).at[chunks].set(lengths)
+def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+    """As above, of at most so many pairs as are sorted at once."""
+    chunks = _sorted_chunks(*(_blocks_of(tables, cells)[1] for cells in (p, q)))
+    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk]), chunks)
+    length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
+    chunks = _sorted_chunks(*(lax.population_count(blocks).astype(jnp.int32) for blocks in left))
+
+    def of_chunk(chunk: Int32[Array, "size"]) -> Int32[Array, "size"]:
+        ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
+        return _least_of_those_left(tables, *ends, length[chunk])
+
+    return length.at[chunks].set(lax.map(of_chunk, chunks))
 
 
-def _around_corners_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of pairs with about as many blocks of corners."""
+def _sorted_chunks(work: Int32[Array, "n"], more_work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
+    """Numbers of pairs, those with about as much work side by side."""
+    first, then = (jnp.minimum(one, _MOST_TOLD).astype(jnp.uint32) for one in (work, more_work))
+    place = jnp.arange(len(work), dtype=jnp.uint32)
+    key = (first * (_MOST_TOLD + 1) + then) << _SORTED_BITS | place
+    order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
+    size = min(_CHUNK, len(work))
+    return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
-    def to_other_cell(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
-        def to(others: Int32[Array, "n 4"]) -> Int32[Array, "n 4 4"]:
-            return _lengths_between(tables, corners[:, :, None], others[:, None])
 
-        return _least_around(tables, q, to, corners.shape)
+def _most_likely(
+    tables: GridTables, p: Cells, q: Cells
+) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
+    """Length of the way over the corners of both cells nearest to both, and which blocks may have better corners.
 
-    return _least_around(tables, p, to_other_cell, p.shape[:1])
+    No path over a corner is shorter than the open way over it.
+    """
+    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q), _nearest_to_both(tables, q, p)
+    way = leg + tables.distances.between(corner, other) + other_leg
+    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
+    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
+    length = jnp.where(sees(tables.sight, p, q), open_way, length)
+    to_beat = jnp.where(length < FAR, length, 0)  # if no path joins these corners none joins any
+    return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
+
+
+def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
+    """The corner of each cell on the shortest open way to another, and how far the cell is from it."""
+    first, count = _blocks_of(tables, cells)
+
+    def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        least = ways.min(axis=1)
+        corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
+        nearer = least < best[0]
+        return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
+
+    far = jnp.full(len(cells), FAR, jnp.int32)
+    _, corner = lax.fori_loop(0, count.max(), with_block, (far, jnp.zeros_like(far)))
+    return corner, jnp.where(count > 0, _legs(tables, cells, corner[:, None])[:, 0], FAR)
+
+
+def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
+    """Which of the first 32 blocks of each cell have a corner whose open way to another is shorter than a path."""
+    first, count = _blocks_of(tables, cells)
+
+    def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        better = (ways.min(axis=1) < length) & (block < count)
+        return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
+
+    none = jnp.zeros(len(cells), jnp.uint32)
+    return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
+
+
+class _Left(NamedTuple):
+    """Cells, and which of the first 32 blocks of each may have better corners; of those behind these all may."""
+
+    cells: Cells
+    blocks: UInt32[Array, "n"]
+
+    def words(self, tables: GridTables) -> Int32[Array, ""]:
+        """How many words with a bit for each block there are."""
+        return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
+
+    def word(self, tables: GridTables, number: Int[Array, ""]) -> UInt32[Array, "n"]:
+        """One of these words."""
+        behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
+        every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
+        return jnp.where(number == 0, self.blocks, every)
+
+    def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
+        """Those of the block of the lowest bit; of any one without a bit."""
+        place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
+        first, _ = _blocks_of(tables, self.cells)
+        return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
+
+
+def _least_of_those_left(
+    tables: GridTables, left: _Left, others_left: _Left, length: Int32[Array, "n"]
+) -> Int32[Array, "n"]:
+    """The length, or less over a corner of a block that is left, a corner of one of the other's, and to the other."""
+
+    def with_words(words: Int[Array, ""], length: Int32[Array, "n"]) -> Int32[Array, "n"]:
+        word, other_word = jnp.divmod(words, others_left.words(tables))
+        blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
+
+        def with_block(state: _BitsAndLength) -> _BitsAndLength:
+            block, length = state
+            corners = left.corners(tables, word, block)
+            legs = _legs(tables, left.cells, corners)
+
+            def with_other_block(state: _BitsAndLength) -> _BitsAndLength:
+                bits, length = state
+                others = others_left.corners(tables, other_word, bits)
+                other_legs = _legs(tables, others_left.cells, others)[:, None]
+                between = tables.distances.between(corners[:, :, None], others[:, None])
+                way = (legs[:, :, None] + between + other_legs).min(axis=(1, 2))
+                both = (block != 0) & (bits != 0)
+                return bits & (bits - 1), jnp.where(both, jnp.minimum(length, way), length)
+
+            _, length = lax.while_loop(_some_left, with_other_block, (other_blocks, length))
+            return block & (block - 1), length
+
+        return lax.while_loop(_some_left, with_block, (blocks, length))[1]
+
+    return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
+
+
+_BitsAndLength = tuple[UInt32[Array, "n"], Int32[Array, "n"]]
+
+
+def _some_left(state: _BitsAndLength) -> Bool[Array, ""]:
+    return (state[0] != 0).any()
+
+
+def _lengths_from(
+    tables: GridTables, corner: Int32[Array, "n"]
+) -> Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]]:
+    return lambda corners: tables.distances.between(corner[:, None], corners)
+
+
+def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
+    """Open lengths between cells and corners."""
+    rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
+    return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
 
 
 def _least_around(
     tables: GridTables,
     cells: Cells,
-    onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n *ends 4"]],
+    onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
-) -> Int32[Array, "n *ends"]:
-    """Least length of a path from each cell by way of one of its corners to one or more ends; far if it has none.
+) -> Int32[Array, "n"]:
+    """Least length of a path from each cell by way of one of its corners to one end; far if it has none.
 
     ``onward`` gives the lengths of the rest of the way, from four corners of each cell.
     """
     first, count = _blocks_of(tables, cells)
-    alike = (len(cells), *(1 for _ in shape[1:]))
 
-    def with_block(block: Int[Array, ""], least: Int32[Array, "n *ends"]) -> Int32[Array, "n *ends"]:
+    def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
         # Of a cell with fewer blocks its last one, again.
-        corners = _gather(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
-        row, column = jnp.divmod(_gather(tables.places, corners), np.uint32(tables.shape[1]))
-        rows, columns = (
-            jnp.abs(row.astype(jnp.int32) - cells[:, :1]),
-            jnp.abs(column.astype(jnp.int32) - cells[:, 1:]),
-        )
-        legs = open_length(tables.connectivity, rows, columns)
-        return jnp.minimum(least, (legs.reshape(*alike, -1) + onward(corners)).min(axis=-1))
+        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
-    far = jnp.full(shape, _far(tables), jnp.int32)
-    return jnp.where(count.reshape(alike) > 0, lax.fori_loop(0, count.max(), with_block, far), far)
+    far = jnp.full(shape, FAR, jnp.int32)
+    return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
 def _where_seen(tables: GridTables, p: Cells, q: Cells, around: Int32[Array, "n"]) -> Int32[Array, "n"]:
@@ -317,24 +344,11 @@ def _where_seen(tables: GridTables, p: Cells, q: Cells, around: Int32[Array, "n"
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """Where the blocks of each cell's corners begin, and how many there are."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
-    first = tables.first_block[cell]
-    return first, tables.first_block[cell + 1] - first
-
-
-def _lengths_between(tables: GridTables, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
-    """Distances in units between corners."""
-    high, low = jnp.maximum(a, b), jnp.minimum(a, b)
-    return _gather(tables.between, (high * (high + 1) >> 1) + low).astype(jnp.int32)
-
-
-def _gather(table: Shaped[Array, "rows ..."], index: Int32[Array, "*n"]) -> Shaped[Array, "..."]:
-    """Rows of a table, by indices that are known to be of it."""
-    return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
-
-
-def _far(tables: GridTables) -> int:
-    """What is no path, or more."""
-    return FAR[np.dtype(tables.between.dtype)]
+    first, end = (
+        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
+        for one in (cell, cell + 1)
+    )
+    return first, end - first
 
 
 def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
@@ -343,4 +357,4 @@ def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array,
     part = rest / units(tables.connectivity)
     whole = whole.astype(part.dtype)
     steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
-    return jnp.where(inside & (length < _far(tables)), steps, jnp.inf)
+    return jnp.where(inside & (length < FAR), steps, jnp.inf)

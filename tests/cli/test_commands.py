@@ -113,10 +113,14 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     for goal, module in (([], load(points)), (["--goal", "0.1,0.1"], load(points).to((0.1, 0.1)))):
         done("export", points, *goal, "--js", "-o", tmp_path / "maze.mjs")
         assert (tmp_path / "maze.mjs").read_text() == module.js_module()
+    assert "grid.tables" in done("export", grid, "--c", "-o", tmp_path / "grid.h")
+    header = load(grid).c_header("grid")
+    assert (tmp_path / "grid.h").read_text() == header.text
+    assert (tmp_path / "grid.tables").read_bytes() == header.table
     for arguments, message in (
-        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, of which no code"),
+        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, of which no module"),
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
-        (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "cells of a grid, of which no code"),
+        (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),
         (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "only the distance is drawn"),
         (["query", points, "--gradient"], "--gradient is for PLRs"),

@@ -50,6 +50,7 @@ FAMILIES = {
     "volumes": ("--only", "volumes"),
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
+    "fleets": (),
 }
 
 

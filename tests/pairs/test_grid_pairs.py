@@ -125,7 +125,6 @@ def test_a_budget_is_kept_or_refused(rooms, pairs):
         construct_grid_pairs(rooms, max_bytes=size - 1)
 
 
-CELLS: Any = ROOMS
 TEXT: Any = "here"
 
 
@@ -139,7 +138,7 @@ TEXT: Any = "here"
         (lambda pairs: pairs(TEXT, [0, 0]), "x must be points"),
         (lambda pairs: pairs(jnp.zeros(2, complex), jnp.zeros(2)), "real"),
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
-        (lambda pairs: construct_grid_pairs(CELLS), "graph must be a grid, such as GridGraph"),
+        (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
         (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), max_bytes=0), "max_bytes must be an integer >= 1"),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],

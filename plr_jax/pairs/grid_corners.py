@@ -1,0 +1,255 @@
+"""Distances between all corners of a grid, by elimination over the graph of those that see each other.
+
+Corners are taken out of the graph one by one, each time one with the fewest neighbors, which are joined by edges as
+long as the way over it. Distances of the last ones are known first; from one that was taken out a shortest path to
+those that were taken out later leads over one of its neighbors. So each takes a minimum over a few rows of distances,
+where a search from it would visit all corners. No row depends on the order of sums, which are whole numbers.
+
+The neighbors of a corner when it is taken out are among its *ancestors*: the one that is taken out first is its
+parent, and so on. Any path between two corners passes a common ancestor of both. Up to :data:`MOST_IN_TABLE` corners,
+all distances are kept; of more, only those to ancestors, of which there are few where a map has narrow passages.
+
+References:
+    D. J. Rose, R. E. Tarjan and G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput.
+    5(2), 1976. J. Dibbelt, B. Strasser and D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016.
+    D. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
+"""
+
+import heapq
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int, Int32, Integer
+
+from plr_jax.pairs.grid_sectors import corner_cells, corners_in_sight, open_length, units
+from plr_jax.pairs.grid_sight import looked_up
+
+FAR = 2**30
+"""No path, in units: no sum of distances that are there reaches it."""
+
+MOST_IN_TABLE = 2**14
+"""Corners between which all distances are kept: of 8 bits, they take 134 MB, and four times that until then."""
+
+_NO_PATH = FAR + 2**20  # so that what is a little less is no path either
+_MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # so that twice as many units fit into 8 bits, or into 16
+_MOST_ANCESTORS = 2**27  # of all corners together, 8 bytes each
+_MOST_EDGES = 2**25  # of all corners when they are taken out
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class CornerTable:
+    """Distances of corners in units, as those of centers nearby and small differences.
+
+    Attributes:
+        center: Number of the center of each corner, which a short path joins to it.
+        between_centers: Their distances, at least :data:`FAR` if there is no path.
+        differences: How much longer each corner's way to those before it and to itself is than that between their
+            centers, row by row of a triangle.
+    """
+
+    center: Integer[Array, "corners"]
+    between_centers: Int32[Array, "centers centers"]
+    differences: Integer[Array, "triangle"]
+
+    def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
+        """Distances in units between corners, at least :data:`FAR` without a path."""
+        high, low = jnp.maximum(a, b), jnp.minimum(a, b)
+        center, other = (looked_up(self.center, corner).astype(jnp.int32) for corner in (a, b))
+        between = looked_up(self.between_centers.ravel(), center * len(self.between_centers) + other)
+        return between + looked_up(self.differences, (high * (high + 1) >> 1) + low).astype(jnp.int32)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class CornerLabels:
+    """Distances of corners to their ancestors in units, from the last one taken out to themselves.
+
+    Attributes:
+        first: Where the ancestors of each corner begin, and their number.
+        ancestor: Numbers of these.
+        length: Their distances.
+    """
+
+    first: Int32[Array, "corners_plus_one"]
+    ancestor: Int32[Array, "ancestors"]
+    length: Int32[Array, "ancestors"]
+
+    def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
+        """As those of a table: the least sum over common ancestors."""
+        begins = [looked_up(self.first, corner) for corner in (a, b)]
+        common = jnp.minimum(
+            *(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b))
+        )
+
+        def at(table: Int32[Array, "ancestors"], place: Int32[Array, ""]) -> list[Int32[Array, "..."]]:
+            last = len(table) - 1
+            return [looked_up(table, jnp.minimum(begin + place, last)) for begin in begins]
+
+        def is_common(place: Int32[Array, ""]) -> Bool[Array, "..."]:
+            one, other = at(self.ancestor, place)
+            return (place < common) & (one == other)
+
+        def with_place(state: _PlaceAndLeast) -> _PlaceAndLeast:
+            place, least = state
+            one, other = at(self.length, place)
+            return place + 1, jnp.where(is_common(place), jnp.minimum(least, one + other), least)
+
+        start = jnp.int32(0), jnp.full(common.shape, _NO_PATH, jnp.int32)
+        return lax.while_loop(lambda state: is_common(state[0]).any(), with_place, start)[1]
+
+
+_PlaceAndLeast = tuple[Int32[Array, ""], Int32[Array, "..."]]
+
+
+def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
+    """Distances between all corners of a grid, in row-major order.
+
+    Raises:
+        ValueError: If paths are so long that their lengths do not fit into 30 bits, or there are more than
+            :data:`MOST_IN_TABLE` corners, and too many ancestors.
+    """
+    most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # to which a query adds the rest
+    if most < 0:
+        raise _too_long(FAR // 2)
+    order, uppers = _eliminated(_edges(free, connectivity))
+    if len(order) > MOST_IN_TABLE:
+        return _labels(order, uppers, most)
+    distances = _all_pairs(order, uppers)
+    if np.count_nonzero(distances < most) != _num_joined(order, uppers):
+        raise _too_long(most)
+    radius = _MOST_STEPS_FROM_CENTER[connectivity] * units(connectivity)
+    centers, center = _centers(distances, radius)
+    between = distances[np.ix_(centers, centers)]
+    differences = np.empty(len(center) * (len(center) + 1) // 2, np.int8 if connectivity == 4 else np.int16)
+    for corner, row in enumerate(distances):
+        begin = corner * (corner + 1) // 2
+        expected = between[center[corner], center[: corner + 1]]
+        differences[begin : begin + corner + 1] = row[: corner + 1] - expected
+    return CornerTable(*map(jnp.asarray, (center.astype(np.min_scalar_type(len(centers))), between, differences)))
+
+
+def _too_long(most: int) -> ValueError:
+    return ValueError(f"Paths of more than {most} units are too long; distances of pairs go up to {FAR}.")
+
+
+_Edges = list[dict[int, int]]
+
+
+def _edges(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> _Edges:
+    """Lengths of the edges of each corner, by the other end: those to corners in sight."""
+    places = np.flatnonzero(corner_cells(free))
+    ends = corners_in_sight(free, connectivity)
+    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
+    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
+    edges: _Edges = [{} for _ in places]
+    for a, b, length in zip(*(one.tolist() for one in (*ends, lengths)), strict=True):
+        edges[a][b] = edges[b][a] = length
+    return edges
+
+
+def _eliminated(edges: _Edges) -> tuple[list[int], _Edges]:
+    """An order of elimination, and the neighbors that each corner has when it is taken out.
+
+    Of corners with as few neighbors those are first that are not above others, so that chains have few ancestors.
+    """
+    level = [0] * len(edges)
+    heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
+    heapq.heapify(heap)
+    is_left, order, num_edges = [True] * len(edges), [], 0
+    while heap:
+        key, _, corner = heapq.heappop(heap)
+        nearby = edges[corner]
+        if not is_left[corner] or key != len(nearby) + level[corner]:
+            continue
+        is_left[corner] = False
+        order.append(corner)
+        num_edges += len(nearby)
+        if num_edges > _MOST_EDGES:
+            raise ValueError(
+                "The grid's obstacles have too many corners in passages so wide: their distances would not fit "
+                "into memory; cut the map into parts."
+            )
+        for a, to_a in nearby.items():
+            of_a = edges[a]
+            del of_a[corner]
+            for b, to_b in nearby.items():
+                if b != a and to_a + to_b < of_a.get(b, FAR):
+                    of_a[b] = to_a + to_b
+            level[a] = max(level[a], level[corner] + 1)
+            heapq.heappush(heap, (len(of_a) + level[a], level[a], a))
+    return order, edges
+
+
+def _labels(order: list[int], uppers: _Edges, most: int) -> CornerLabels:
+    """Distances of all corners to their ancestors, those of the last ones first."""
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
+    for corner in reversed(order):
+        if uppers[corner]:
+            parent[corner] = min(uppers[corner], key=place.__getitem__)
+            depth[corner] = depth[parent[corner]] + 1
+    first = np.concatenate([[0], np.cumsum(depth + 1)])
+    if first[-1] > _MOST_ANCESTORS:
+        raise ValueError(
+            f"Distances between the corners of the grid's obstacles would take {8 * first[-1]} bytes: cut the map "
+            "into parts."
+        )
+    ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
+    for corner in reversed(order):
+        own = slice(first[corner], first[corner + 1])
+        ancestor[own.stop - 1] = corner
+        if not uppers[corner]:
+            continue
+        above = slice(own.start, own.stop - 1)
+        ancestor[above] = ancestor[first[parent[corner]] : first[parent[corner] + 1]]
+        nearby = np.array(list(uppers[corner]))
+        lengths = np.fromiter(uppers[corner].values(), np.int64, len(nearby))
+        # Of a neighbor and an ancestor one is above the other, whose list has their distance.
+        places = np.arange(depth[corner])
+        of_neighbor = first[nearby][:, None] + places
+        of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
+        over = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
+        length[above] = np.minimum(over.min(axis=0), FAR)
+    if length.max(initial=0) > most // 2:
+        raise _too_long(most)
+    return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
+
+
+def _all_pairs(order: list[int], uppers: _Edges) -> Int32[np.ndarray, "corners corners"]:
+    """Distances of all corners, those that were taken out last first."""
+    place = np.empty(len(order), np.int64)
+    place[order[::-1]] = np.arange(len(order))
+    distances = np.full((len(order), len(order)), _NO_PATH, np.int32)
+    for known, corner in enumerate(reversed(order)):
+        distances[known, known] = 0
+        nearby = uppers[corner]
+        if nearby:
+            lengths = np.fromiter(nearby.values(), np.int32, len(nearby))
+            over = distances[place[list(nearby)], :known] + lengths[:, None]
+            distances[known, :known] = distances[:known, known] = np.minimum(over.min(axis=0), _NO_PATH)
+    return distances[np.ix_(place, place)]
+
+
+def _num_joined(order: list[int], uppers: _Edges) -> int:
+    """How many pairs of corners paths join, of which all are taken out but for one that has no neighbors left."""
+    part = np.arange(len(order))
+    for corner in reversed(order):
+        part[corner] = part[next(iter(uppers[corner]), corner)]
+    return int((np.bincount(part, minlength=1) ** 2).sum())
+
+
+def _centers(
+    distances: Int32[np.ndarray, "corners corners"], radius: int
+) -> tuple[Int[np.ndarray, "centers"], Int[np.ndarray, "corners"]]:
+    """Corners so many that each is near one, and the number of that."""
+    center, centers = np.full(len(distances), -1), []
+    for corner, row in enumerate(distances):
+        if center[corner] < 0:
+            center[(center < 0) & (row <= radius)] = len(centers)
+            centers.append(corner)
+    return np.array(centers, np.int64), center

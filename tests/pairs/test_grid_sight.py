@@ -1,0 +1,38 @@
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid_helpers import legal, mosaic, pairs_of_tiles
+
+from plr_jax.pairs.grid_sight import sees, sight_of
+
+
+def all_open_paths(p, q, connectivity):
+    """Every path of the length that it would have without obstacles, as lists of cells."""
+    way = np.subtract(q, p)
+    down, right = np.sign(way)
+    diagonal = min(abs(way)) if connectivity == 8 else 0
+    steps = {(down, right): diagonal, (down, 0): abs(way[0]) - diagonal, (0, right): abs(way[1]) - diagonal}
+
+    def paths(cell, left):
+        if not any(left.values()):
+            yield [cell]
+        for step, count in left.items():
+            if count:
+                rest = paths((cell[0] + step[0], cell[1] + step[1]), {**left, step: count - 1})
+                yield from ([cell, *path] for path in rest)
+
+    return paths(p, steps)
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_cells_see_each_other_if_every_open_path_is_legal(connectivity):
+    free = mosaic(connectivity, 3, 4)
+    p, q = (points[:, ::-1].astype(int) for points in pairs_of_tiles(3, 4))
+    found = np.asarray(sees(sight_of(free, connectivity), jnp.asarray(p), jnp.asarray(q)))
+    assert 0.1 < found.mean() < 0.9
+    for start, end, seen in zip(map(tuple, p.tolist()), map(tuple, q.tolist()), found, strict=True):
+        steps = [step for path in all_open_paths(start, end, connectivity) for step in pairwise(path)]
+        legal_steps = [legal(free, a[0], a[1], b[0] - a[0], b[1] - a[1], connectivity) for a, b in steps]
+        assert seen == (free[start] and all(legal_steps))
