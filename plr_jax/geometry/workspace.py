@@ -1,7 +1,7 @@
 """A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -398,6 +398,8 @@ class Workspace:
     def _numbers_of(self, remove: Any) -> set[int]:
         """Numbers of obstacles that are to be removed; ``ValueError`` if one is none."""
         numbers: set[int] = set()
+        if not isinstance(remove, BaseGeometry | Iterable):
+            raise ValueError(f"remove must be a list of numbers of obstacles or polygons, got {shortened(remove)}.")
         for each in [remove] if isinstance(remove, BaseGeometry) else remove:
             if isinstance(each, BaseGeometry):
                 number = next((i for i, own in enumerate(self.obstacles) if own.equals(each)), -1)

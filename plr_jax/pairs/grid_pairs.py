@@ -206,6 +206,8 @@ class GridPairs:
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
         if goals.ndim != 2 or goals.shape != positions.shape:
             raise ValueError(f"goals and positions must be (n, 2) both, got {goals.shape} and {positions.shape}.")
+        if not len(goals):
+            return jax.numpy.zeros((0, 2 * int(radius) + 1, 2 * int(radius) + 1), jax.numpy.int32)
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:

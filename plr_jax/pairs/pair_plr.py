@@ -216,7 +216,7 @@ class PairPLR(HeldFile):
         from plr_jax.pairs.updated import updated_pairs  # which no query needs
 
         origin = vars(self).get("_origin", MadeOf(before, None))
-        if (before := before or origin.workspace) is None:
+        if (before := origin.workspace if before is None else before) is None:
             raise ValueError(
                 "The map that these pairs are of is not known, as of pairs from a file: give the workspace before, "
                 "pairs.updated(workspace, before)."

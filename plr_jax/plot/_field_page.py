@@ -82,6 +82,10 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
         raise ValueError(
             f"A page shows the plane, got a PLR of {held.domain.dim} axes; see plr_jax.plot.slices for others."
         )
+    if not isinstance(workspace, Workspace | None):
+        raise ValueError(
+            f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
+        )
     data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
     content = {"name": json.dumps(name), "walls": json.dumps(_walls(workspace, held.domain))}
     if isinstance(held, PairPLR):

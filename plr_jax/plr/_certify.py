@@ -3,9 +3,10 @@
 from typing import TYPE_CHECKING
 
 from plr_jax._arrays import as_bool, shortened
-from plr_jax._types import CellwiseFn, DistanceFn
+from plr_jax._types import CellwiseFn, ChangingFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._proof import certificate_of
+from plr_jax.plr._update import Origin, can_be_updated
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.partition.cells import grown_domain
 
@@ -48,7 +49,10 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
-    return with_certificate(plr, certificate_of(plr._contents, root, proof))
+    certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
+    if can_be_updated(certified._contents) and isinstance(oracle, ChangingFn):
+        vars(certified)["_origin"] = Origin(oracle, certified.num_bytes)
+    return certified
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:

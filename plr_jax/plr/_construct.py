@@ -51,9 +51,10 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
         from plr_jax.plr._assembly import plr_of_leaves
 
         given = signature(leaves_of).bind(*args, **kwargs).arguments
-        plr, max_bytes = plr_of_leaves(contents := leaves_of(*args, **kwargs)), given.get("max_bytes")
+        plr = plr_of_leaves(contents := leaves_of(*args, **kwargs))
         if can_be_updated(contents) and isinstance(given["distance_fn"], ChangingFn):
-            vars(plr)["_origin"] = Origin(given["distance_fn"], None if max_bytes is None else int(max_bytes))
+            limits = (given.get(name) for name in ("max_bytes", "max_leaves", "tolerance"))
+            vars(plr)["_origin"] = Origin(given["distance_fn"], *limits)
         return plr
 
     vars(construct)["__signature__"] = signature(leaves_of).replace(return_annotation="PLR")

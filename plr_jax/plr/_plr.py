@@ -23,7 +23,7 @@ from plr_jax.plr._file import (
     filled_coefficients,
     planes_of_leaves,
 )
-from plr_jax.plr._update import Origin, updated_contents
+from plr_jax.plr._update import Origin, require_updatable, updated_contents
 from plr_jax.plr.delta.file_delta import delta_of_files, patched_file
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile, held
@@ -182,7 +182,8 @@ class PLR(HeldFile):
             oracle: The oracle of the map as it is now, such as ``before.with_workspace(workspace)``, for the same
                 goal.
             before: The one that the PLR is of; None: the one that it was made or last updated of, in this process.
-            max_bytes: Most bytes of the file; None: as when it was made, or, of a file, as many as it has.
+            max_bytes: Most bytes of the file; None: as when it was made, with the other limits that it had then; or,
+                of a file, as many as it has.
 
         Returns:
             The PLR, of the same domain, label and kind of proof. ``bounds`` hold as those of a new one do. This one
@@ -192,6 +193,7 @@ class PLR(HeldFile):
             ValueError: If it is not one of cones with a proof, the oracles are no visibility graphs of one goal, what
                 it is of is not known, or found to be another one than ``before``, or as for :func:`construct`.
         """
+        require_updatable(self._contents)
         origin = vars(self).get("_origin")
         if origin is None:
             if before is None:
@@ -201,7 +203,7 @@ class PLR(HeldFile):
                 )
             origin = Origin(before, self.num_bytes)
         elif before is not None and before is not origin.oracle:
-            origin = Origin(before, origin.max_bytes)
+            origin = replace(origin, oracle=before, bounds=None, priced=None)
         if max_bytes is not None:
             require_integer("max_bytes", max_bytes, 1)
             origin = replace(origin, max_bytes=int(max_bytes))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import VisibilityGraph, Workspace, construct, from_bytes
+from plr_jax import VisibilityGraph, Workspace, certify, construct, from_bytes
 
 BOUNDS, GOAL = ((0, 0), (8, 6)), (1.0, 1.0)
 WALLS = [shapely.box(2.5, 0, 3, 4), shapely.box(5, 2, 5.5, 6), shapely.box(6, 1, 7, 1.5)]
@@ -109,3 +109,30 @@ def test_a_file_is_updated_as_what_it_was_written_of(oracle, plr):
     after = oracle.with_workspace(oracle.workspace.with_obstacles([box]))
     read = from_bytes(plr.to_bytes()).updated(after, oracle, max_bytes=BYTES)
     assert check(read, after.workspace, [box]) <= 1.1 * check(plr.updated(after), after.workspace, [box])
+
+
+def test_a_map_that_was_empty_fills_the_budget():
+    """One leaf says nothing of what a leaf is worth: then all are sought, as in a construction."""
+    empty = VisibilityGraph(Workspace(BOUNDS, []), GOAL)
+    plr = construct(empty, BOUNDS, leaf="cone", max_bytes=300, certified=True)
+    after = empty.with_workspace(empty.workspace.with_obstacles([shapely.box(2, 2, 3, 3)]))
+    new, anew = plr.updated(after), construct(after, BOUNDS, leaf="cone", max_bytes=300, certified=True)
+    assert plr.num_leaves == 1 and 250 < new.num_bytes <= 300
+    assert check(new, after.workspace) < 1.1 * check(anew, after.workspace)
+
+
+@pytest.mark.parametrize("limits", [{"tolerance": 0.1}, {"max_leaves": 20, "max_bytes": 500}])
+def test_limits_of_the_construction_are_kept(oracle, limits):
+    plr = construct(oracle, BOUNDS, leaf="cone", certified=True, **limits)
+    new = plr.updated(oracle.with_workspace(oracle.workspace.with_obstacles([shapely.box(3.5, 4.5, 4, 5)])))
+    assert new.num_leaves <= limits.get("max_leaves", 1_000)
+    assert plr.max_error < new.max_error < 1.5 * plr.max_error or new.max_error <= plr.max_error
+
+
+def test_a_proof_made_afterwards_tells_the_oracle(oracle, plr):
+    proven = certify(construct(oracle, BOUNDS, leaf="cone", max_bytes=BYTES), oracle)
+    assert proven.updated(oracle).max_error == pytest.approx(proven.max_error, rel=0.3)
+    with pytest.raises(ValueError, match=r"max_bytes=3\d\d is too small: one leaf takes"):
+        proven.with_label("x" * 290).updated(oracle, max_bytes=310)
+    with pytest.raises(ValueError, match="leaves no room beside the label"):
+        proven.with_label("x" * 290).updated(oracle, max_bytes=10)

@@ -27,13 +27,13 @@ from plr_jax.plr.sampling.cell_fit import Pattern
 
 _ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest distance, by which those may be off
 _MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
-_FULL, _AIM, _LEFT = 0.99, 0.995, 0.97  # of the bytes: enough; sought; and so few that more leaves are sought
-_ATTEMPTS = 8  # to find a price
+_FULL, _AIM, _LEFT = 0.99, 0.995, 0.97  # of the limits: enough; sought; and so few that more leaves are sought
+_FAR = 0.8  # of the limits: so few that all leaves are sought
+_ATTEMPTS = 12  # to find a price
 _MOST_SOUGHT = 512  # leaves at once that err most
-_RATE = 2.0  # a price falls about as the bytes to this power
-_FAR = 0.5  # of the limits: so few that the price falls at once
-_LEAST = 0.05  # of the limits, to which smaller trees are taken to fill them
-_RISE = 64.0  # times the price, where no tree is within the limits
+_RATE = 2.0  # a price falls about as the limits are used up to this power
+_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
+_NO_PRICE = np.finfo(float).tiny
 _FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
 
 
@@ -47,20 +47,18 @@ class PricedNodes:
         error: Proven bound of each one's largest error.
         source: Its best source, -1 where nothing reaches the goal.
         price: Of a leaf, at which the tree is the best one.
-        share: How much the tree takes of what the limits allow.
     """
 
     integral: Float[np.ndarray, "nodes"]
     error: Float[np.ndarray, "nodes"]
     source: Int[np.ndarray, "nodes"]
     price: float
-    share: float = 1.0
 
 
-def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn) -> PricedNodes:
+def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> PricedNodes:
     """Those of the tree of an oracle, and a price with which few of its leaves should be put together."""
     tree, domain = leaves.tree, leaves.domain
-    negligible = resolved_error(oracle.sources.distances)
+    negligible = max(limits.tolerance, resolved_error(oracle.sources.distances))
     (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
     visible, nodes = oracle.cell_sources(grown_domain(domain)), np.zeros(1, np.int64)
     while len(nodes):
@@ -71,7 +69,7 @@ def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn) -> PricedNodes:
         nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
         lo, hi = tree.cells[nodes].grown_boxes(domain)
         visible = visible.parts(np.repeat(inner, 2), axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
-    costs = integral + _share(tree) * error
+    costs = integral + _share(tree, limits) * error
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
         total[split], count[split] = (
@@ -80,13 +78,14 @@ def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn) -> PricedNodes:
     inner = np.flatnonzero(count > 1)
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
-    price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), np.finfo(float).tiny)
+    price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
     return PricedNodes(integral, error, source, price)
 
 
-def _share(tree: Tree) -> float:
-    """How much the largest error of a leaf counts besides its integral."""
-    return LEAST_SHARE_PROVEN / len(tree.node_of_leaf)
+def _share(tree: Tree, limits: Limits) -> float:
+    """How much the largest error of a leaf counts besides its integral, of about as many leaves as there will be."""
+    most = min(limits.max_bytes, limits.max_leaves)
+    return LEAST_SHARE_PROVEN / max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)
 
 
 def updated_cones(
@@ -99,14 +98,13 @@ def updated_cones(
     changed = oracle.changed_since(before)
     leaves = ConeLeaves(proven.domain, proven.tree, proven.stored, proven.bounds, changed.slack)
     _require_proof_of(before, leaves)
-    priced = proven.priced or priced_nodes(leaves, before)
+    priced = proven.priced or priced_nodes(leaves, before, limits)
     change, source = leaves.kept(changed, before.sources, oracle.sources)
     search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
-    best, price = _best_within(search, priced.price), priced.price
-    if best is None:  # what stays is too much, and too little of it can be put together
+    best = _best_of_changed(search)
+    if best is None:
         search = ConeSearch.of(leaves, priced, changed, np.full_like(change, np.nan), source, oracle, limits)
-    while best is None:
-        best, price = _best_within(search, price), _RISE * price
+        best = _best_of_all(search)
     cells, new = search.cells(best.leaves), search.files.stored(search.sources_in_sight(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
@@ -206,7 +204,7 @@ class ConeSearch:
         for split in tree.splits:
             whole = split[is_whole[split]]
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
-        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price, priced.share)
+        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price)
         files = ConeFiles(oracle.sources, leaves.domain)
         search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
         boxes = search.boxes(roots)
@@ -216,7 +214,7 @@ class ConeSearch:
     @property
     def share(self) -> float:
         """How much largest errors count."""
-        return _share(self.leaves.tree)
+        return _share(self.leaves.tree, self.limits)
 
     @property
     def num_boxes(self) -> int:
@@ -238,7 +236,8 @@ class ConeSearch:
             visible = self.oracle.cell_sources(grown_domain(domain))
         else:
             visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
-        return fitted_boxes(domain, resolved_error(self.oracle.sources.distances), cells, visible)
+        negligible = max(self.limits.tolerance, resolved_error(self.oracle.sources.distances))
+        return fitted_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
         """The sources of nodes and boxes as cells."""
@@ -251,10 +250,10 @@ class ConeSearch:
             first += len(level.key)
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
-    def look(self, price: float) -> None:
-        """Look at boxes that may be leaves at a price."""
+    def look(self, price: float, margin: float) -> None:
+        """Look at boxes that may be leaves at a price, and no further at halves that cost so many times as much."""
         each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
+        expand(self.levels, each, self.share, self.limits, margin, self.share)
 
     def seek(self, count: int, price: float) -> None:
         """Seek so many more leaves anew, those that err most, if by more than the price."""
@@ -334,38 +333,64 @@ class ConeSearch:
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
             for name in ("integral", "error", "source")
         )
-        return PricedNodes(integral, error, source, found.price, found.share)
+        return PricedNodes(integral, error, source, found.price)
 
 
-def _best_within(search: ConeSearch, price: float) -> FoundTree | None:
-    """The best tree within the limits, of prices between one at which it is and one at which it is not.
-
-    None if it is not at any that is tried; raises ``BudgetTooSmall`` if one leaf is too much.
-    """
-    share, fewer = search.nodes.share, 0
+def _best_of_changed(search: ConeSearch) -> FoundTree | None:
+    """The best tree with the leaves that stay; None if these are too many, or far too few, for the limits."""
+    price, now = search.nodes.price, search.best(_NO_PRICE)
+    num_leaves = len(search.is_sought)
+    share = now.share * num_leaves / len(now.leaves)  # about that of the tree before
+    if share < _FAR:
+        return None
     if share < _LEFT:  # room that the change before has left, so that all is looked at together
-        price *= (max(share, _LEAST) / _AIM) ** _RATE
-        search.seek(min(int((1 - share) * len(search.is_sought)), _MOST_SOUGHT), price)
-    search.look(price)
-    now = search.best(price)
-    while now.share < _FAR and len(now.leaves) > fewer:
-        fewer, price = len(now.leaves), price * (max(now.share, _LEAST) / _AIM) ** _RATE
-        search.look(price)
-        now = search.best(price)
-    fits = beyond = None
+        price *= (share / _AIM) ** _RATE
+        search.seek(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
+    search.look(price, _MARGIN)
+    now, fits, beyond = search.best(price), None, None
     for attempt in range(1, _ATTEMPTS + 1):
-        if now.share <= 1:
+        if now.share > 1:
+            beyond = now
+        else:
             fits = now
             if beyond is None or now.share > _FULL:
                 break
-        else:
-            beyond = now
         if fits is not None and beyond is not None:
-            between = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
-            price = fits.price * (beyond.price / fits.price) ** float(np.clip(between, 0.05, 0.95))
+            price = _price_between(fits, beyond)
         elif len(now.leaves) > 1:
             price *= (now.share / _AIM) ** (_RATE * attempt)
-        else:
-            search.limits.require_room(now.num_bytes)
         now = search.best(price)
+    return None if fits is None or fits.share < _FAR else fits
+
+
+def _best_of_all(search: ConeSearch) -> FoundTree:
+    """The best tree if all leaves are sought: the price falls until the limits are used up."""
+    cost = search.levels[0].costs(search.share)
+    price = max(float(cost.sum()), _NO_PRICE)
+    search.look(price, np.inf)
+    fits, beyond = search.best(price), None
+    if fits.share > 1:
+        search.limits.require_room(fits.num_bytes)
+    for _ in range(_ATTEMPTS):
+        if beyond is None:
+            if fits.share > _LEFT:
+                break
+            drop = (max(fits.share, _NO_PRICE) / _AIM) ** _RATE
+            price = fits.price * min(max(drop, _LARGEST_DROP), _SMALLEST_DROP)
+            num_boxes = search.num_boxes
+            search.look(price, np.inf)
+            fits, now = search.best(fits.price), search.best(price)
+            if search.num_boxes == num_boxes and len(now.leaves) == len(fits.leaves):
+                break
+        elif fits.share > _FULL:
+            break
+        else:
+            now = search.best(_price_between(fits, beyond))
+        fits, beyond = (now, beyond) if now.share <= 1 else (fits, now)
     return fits
+
+
+def _price_between(fits: FoundTree, beyond: FoundTree) -> float:
+    """A price at which a tree is expected to use up the limits."""
+    share = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
+    return fits.price * (beyond.price / fits.price) ** float(np.clip(share, 0.05, 0.95))
