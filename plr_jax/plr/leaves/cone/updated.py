@@ -33,6 +33,7 @@ _ATTEMPTS = 12  # to find a price
 _MOST_SOUGHT = 512  # leaves at once that err most
 _RATE = 2.0  # a price falls about as the limits are used up to this power
 _LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
+_WANTING = 0.15  # of leaves, as many as err by more than the price where a tree is cut short by its limits
 _NO_PRICE = np.finfo(float).tiny
 _FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
 
@@ -255,6 +256,12 @@ class ConeSearch:
         each = np.full(len(self.levels[0].key), price)
         expand(self.levels, each, self.share, self.limits, margin, self.share)
 
+    def is_full(self, price: float) -> bool:
+        """Whether most leaves stay, and hardly any errs by more than a price: room is left as nothing needs it."""
+        cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
+        known = cost[~self.is_sought & np.isfinite(cost)]
+        return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
+
     def seek(self, count: int, price: float) -> None:
         """Seek so many more leaves anew, those that err most, if by more than the price."""
         tree = self.leaves.tree
@@ -341,9 +348,10 @@ def _best_of_changed(search: ConeSearch) -> FoundTree | None:
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_sought)
     share = now.share * num_leaves / len(now.leaves)  # about that of the tree before
-    if share < _FAR:
+    is_full = search.is_full(price)
+    if share < _FAR and not is_full:
         return None
-    if share < _LEFT:  # room that the change before has left, so that all is looked at together
+    if share < _LEFT and not is_full:  # room that the change before has left, so that all is looked at together
         price *= (share / _AIM) ** _RATE
         search.seek(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
     search.look(price, _MARGIN)
@@ -360,7 +368,7 @@ def _best_of_changed(search: ConeSearch) -> FoundTree | None:
         elif len(now.leaves) > 1:
             price *= (now.share / _AIM) ** (_RATE * attempt)
         now = search.best(price)
-    return None if fits is None or fits.share < _FAR else fits
+    return None if fits is None or (fits.share < _FAR and not is_full) else fits
 
 
 def _best_of_all(search: ConeSearch) -> FoundTree:
