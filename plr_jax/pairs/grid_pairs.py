@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
-from plr_jax.oracles import GridGraph
 from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES
@@ -315,6 +314,8 @@ def construct_grid_pairs(graph: CellGraph | ArrayLike, *, max_bytes: int | None 
         See ``plr_jax/pairs/GRIDS.md``.
     """
     if not isinstance(graph, CellGraph):
+        from plr_jax.oracles import GridGraph  # and with it Shapely, which queries need not
+
         try:
             graph = GridGraph(graph)
         except ValueError as error:

@@ -172,8 +172,9 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
     """As above, of at most so many pairs as are sorted at once."""
-    chunks = _sorted_chunks(*(_blocks_of(tables, cells)[1] for cells in (p, q)))
-    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk]), chunks)
+    seen = sees(tables.sight, p, q)
+    chunks = _sorted_chunks(*(jnp.where(seen, 0, _blocks_of(tables, cells)[1]) for cells in (p, q)))
+    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
     length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
     chunks = _sorted_chunks(*(lax.population_count(blocks).astype(jnp.int32) for blocks in left))
 
@@ -195,24 +196,26 @@ def _sorted_chunks(work: Int32[Array, "n"], more_work: Int32[Array, "n"]) -> Int
 
 
 def _most_likely(
-    tables: GridTables, p: Cells, q: Cells
+    tables: GridTables, p: Cells, q: Cells, seen: Bool[Array, "n"]
 ) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
     """Length of the way over the corners of both cells nearest to both, and which blocks may have better corners.
 
-    No path over a corner is shorter than the open way over it.
+    No path over a corner is shorter than the open way over it. Of cells that see each other no corner is looked at.
     """
-    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q), _nearest_to_both(tables, q, p)
+    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
-    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
-    length = jnp.where(sees(tables.sight, p, q), open_way, length)
-    to_beat = jnp.where(length < FAR, length, 0)  # if no path joins these corners none joins any
+    length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
+    to_beat = jnp.where((length < FAR) & ~seen, length, 0)  # if no path joins these corners none joins any
     return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
 
 
-def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
+def _nearest_to_both(
+    tables: GridTables, cells: Cells, others: Cells, seen: Bool[Array, "n"]
+) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """The corner of each cell on the shortest open way to another, and how far the cell is from it."""
     first, count = _blocks_of(tables, cells)
+    count = jnp.where(seen, 0, count)
 
     def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
         corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
@@ -230,6 +233,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells) -> tuple[I
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
     """Which of the first 32 blocks of each cell have a corner whose open way to another is shorter than a path."""
     first, count = _blocks_of(tables, cells)
+    count = jnp.where(length > 0, count, 0)
 
     def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
         corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)

@@ -1,26 +1,33 @@
 """Distances of all cells around agents to their goals, in JAX.
 
-Whatever way leads out of a square of cells passes its rim. So only the cells of the rim are asked for, and from
-these, and from the goal where it is inside, distances spread over the square step by step.
+Whatever way leads out of a square of cells passes its rim. So from the rim, and from the goal where it is inside,
+distances spread over the square step by step. And along the rim distances change by no more than a step from cell to
+cell: where they differ by as much as can be between two cells, those between need not be asked for.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Int32, Num, Shaped
+from jaxtyping import Array, Bool, Int, Int32, Num, Shaped
 
 from plr_jax.pairs.grid_corners import FAR
 from plr_jax.pairs.grid_query import GridTables, cells_of, lengths_between_cells
 from plr_jax.pairs.grid_sectors import open_length, units
 from plr_jax.pairs.grid_sight import is_free
 
-Square = Int32[Array, "n width width"]
-
 NO_WAY = -1
 """What stands for cells from which no path leads to the goal."""
+
+_AT_ONCE = 2**14  # cells asked for at once
+_AGENTS = 512  # whose squares are looked at at once
+
+# Agents are the last axis, along which processors work on many numbers at once.
+Square = Int32[Array, "width width n"]
+Rim = Int32[Array, "rim n"]
 
 
 @partial(jax.jit, static_argnames="radius")
@@ -29,48 +36,126 @@ def distances_around(
 ) -> Int32[Array, "n width width"]:
     """Whole steps from each cell of the squares around the cells of positions to those of goals."""
     (goal, goal_inside), (position, inside) = (cells_of(tables, points) for points in (goals, positions))
-    offsets = jnp.asarray(np.moveaxis(np.indices((2 * radius + 1,) * 2) - radius, 0, -1), jnp.int32)
-    cells = position[:, None, None] + offsets[None]
-    on_grid = ((cells >= 0) & (cells < jnp.asarray(tables.shape, jnp.int32))).all(axis=-1)
-    in_grid = jnp.where(on_grid[..., None], cells, 0).reshape(-1, 2)
+    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
+    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
+    on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
+    in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
 
-    # The rim, as places of the flat square.
-    rim = np.flatnonzero(abs(np.indices((2 * radius + 1,) * 2) - radius).max(axis=0).ravel() == radius)
-    flat_cells, flat_free = cells.reshape(len(cells), -1, 2), free.reshape(len(cells), -1)
-    of_rim = jnp.where(flat_free[:, rim, None], flat_cells[:, rim], position[:, None])
-    lengths = lengths_between_cells(tables, of_rim.reshape(-1, 2), jnp.repeat(goal, len(rim), axis=0))
-    known = jnp.where((flat_cells == goal[:, None]).all(axis=-1), 0, FAR).astype(jnp.int32)
-    known = known.at[:, rim].min(lengths.reshape(len(cells), len(rim))).reshape(free.shape)
-    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
-    answered = free & (reached < FAR) & (inside & goal_inside)[:, None, None]
-    return jnp.where(answered, reached // units(tables.connectivity), NO_WAY)
+    around = _around(radius)
+    cells = jnp.stack([row[around], column[around]], axis=-1)
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, np.arange(len(around[0])) % max(2 * radius, 1) == 0)
+    is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
+    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    reached = _spread_in_parts(tables.connectivity, jnp.where(free, known, FAR), free)
+    answered = free & (reached < FAR) & inside & goal_inside
+    return jnp.moveaxis(jnp.where(answered, reached // units(tables.connectivity), NO_WAY), -1, 0)
 
 
-def _spread(connectivity: int, lengths: Square, free: Bool[Array, "n width width"]) -> Square:
+def _around(radius: int) -> tuple[Int[np.ndarray, "rim"], Int[np.ndarray, "rim"]]:
+    """Rows and columns of the rim of a square, from cell to neighboring cell, beginning with a corner."""
+    side, last = np.arange(2 * radius), 2 * radius
+    zero, far = np.zeros(2 * radius, int), np.full(2 * radius, last)
+    if radius == 0:
+        return np.zeros(1, int), np.zeros(1, int)
+    return np.concatenate([zero, side, far, last - side]), np.concatenate([side, far, last - side, zero])
+
+
+def _lengths_of_rim(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    free: Bool[Array, "rim n"],
+    goal: Int32[Array, "n 2"],
+    is_corner: Bool[np.ndarray, "rim"],
+) -> Rim:
+    """Lengths from the cells of rims to goals in units, at least ``FAR`` where there is no path."""
+    straight = int(open_length(tables.connectivity, 0, 1))
+    beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
+    # What is known is so at both ends of each row of free cells.
+    place = jnp.arange(len(cells) + 1, dtype=jnp.int32)[:, None]
+
+    def closed(table: Shaped[Array, "rim n"]) -> Shaped[Array, "rim_plus_one n"]:
+        return jnp.concatenate([table, table[:1]])
+
+    def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
+        lengths, known, wanted = state
+        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
+        known_place = jnp.where(closed(known), place, -1)
+        before = lax.cummax(known_place)
+        after = lax.cummin(jnp.where(known_place < 0, len(cells), known_place), reverse=True)
+        first, last = (jnp.take_along_axis(closed(lengths), jnp.maximum(end, 0), axis=0) for end in (before, after))
+        apart = straight * (after - before)
+        is_settled = (jnp.abs(last - first) == apart) | (first >= FAR)
+        between = jnp.where(first >= FAR, FAR, first + jnp.sign(last - first) * straight * (place - before))
+        new = free & ~known & is_settled[:-1]
+        wanted = free & ~known & ~new & ((before + after) // 2 == place)[:-1]
+        return jnp.where(new, between[:-1], lengths), known | new, wanted
+
+    start = free & (jnp.asarray(is_corner)[:, None] | beside_blocked)
+    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
+    return lax.while_loop(lambda state: state[2].any(), step, none)[0]
+
+
+def _asked(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    goal: Int32[Array, "n 2"],
+    lengths: Rim,
+    wanted: Bool[Array, "rim n"],
+) -> Rim:
+    """The lengths, and those of the wanted cells."""
+    size = min(_AT_ONCE, wanted.size)
+    number = jnp.nonzero(wanted.ravel(), size=wanted.size + size, fill_value=wanted.size)[0].astype(jnp.int32)
+    flat = cells.reshape(-1, 2)
+
+    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
+        asked = lax.dynamic_slice(number, (some * size,), (size,))
+        of = jnp.minimum(asked, wanted.size - 1)
+        start = goal[of % len(goal)]
+        # Behind the last are cells that see themselves, which takes next to no time.
+        end = jnp.where((asked < wanted.size)[:, None], flat[of], start)
+        found = lengths_between_cells(tables, start, end)
+        return lengths.at[asked].set(found, mode="drop")
+
+    count = wanted.sum(dtype=jnp.int32)
+    return lax.fori_loop(0, -(-count // size), with_some, lengths.ravel()).reshape(lengths.shape)
+
+
+def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
+    """As :func:`_spread`, of as many agents at once as caches hold."""
+    agents = lengths.shape[-1]
+    size = min(_AGENTS, max(agents, 1))
+
+    def parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
+        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
+        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
+
+    done = lax.map(lambda part: _spread(connectivity, *part), (parts(lengths, FAR), parts(free, False)))
+    return jnp.moveaxis(done, 0, 2).reshape(*lengths.shape[:2], -1)[..., :agents]
+
+
+def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
     """Lengths over the squares from where they are known, at least ``FAR`` where no path leads to."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
-    width = lengths.shape[-1]
+    width = len(lengths)
 
     def beside(
-        table: Shaped[Array, "n width width"], down: int, right: int, border: int
-    ) -> Shaped[Array, "n width width"]:
-        around = jnp.pad(table, ((0, 0), (1, 1), (1, 1)), constant_values=border)
-        return around[:, 1 + down : 1 + down + width, 1 + right : 1 + right + width]
+        table: Shaped[Array, "width width n"], border: int
+    ) -> Callable[[int, int], Shaped[Array, "width width n"]]:
+        around = jnp.pad(table, ((1, 1), (1, 1), (0, 0)), constant_values=border)
+        return lambda down, right: around[1 + down : 1 + down + width, 1 + right : 1 + right + width]
 
-    ways = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if abs(down) + abs(right) == 1]
     turns = [(down, right) for down in (-1, 1) for right in (-1, 1)] if connectivity == 8 else []
-    is_open = {
-        (down, right): free & (beside(free, down, 0, False) & beside(free, 0, right, False)) for down, right in turns
-    }
+    is_free_beside = beside(free, False)
+    is_legal = {(down, right): is_free_beside(down, 0) & is_free_beside(0, right) for down, right in turns}
 
     def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
         lengths, _ = state
-        best = lengths
-        for way in ways:
-            best = jnp.minimum(best, beside(lengths, *way, FAR) + straight)
+        of_neighbor, best = beside(lengths, FAR), lengths
+        for way in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            best = jnp.minimum(best, of_neighbor(*way) + straight)
         for way in turns:
-            best = jnp.minimum(best, jnp.where(is_open[way], beside(lengths, *way, FAR) + diagonal, FAR))
+            best = jnp.minimum(best, jnp.where(is_legal[way], of_neighbor(*way) + diagonal, FAR))
         best = jnp.where(free, best, FAR)
         return best, (best < lengths).any()
 
