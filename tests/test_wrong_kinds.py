@@ -114,7 +114,7 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
             lambda: Roadmap.from_workspace(ROOM, (0.5, 0.5), 5).with_workspace,
             "Of a map that changed make another one",
         ),
-        (lambda: built().updated, r"of a map that did, update\(plr, oracle, before\) is one"),
+        (lambda: built().update, r"plr.updated\(oracle\) is one of a map that did"),
     ],
 )
 def test_what_a_changed_map_needs_is_said(call, message):
