@@ -385,3 +385,24 @@ def pair_bounds(results: dict[str, Any]) -> str:
         *(("above", "{gap_above:.2g}"), ("told above", "{told:.3%}"), ("ns a pair", "{nanoseconds:,.0f}")),
         ("ns of bounds", "{nanoseconds_of_bounds:,.0f}"),
     )
+
+
+def fleets(results: dict[str, Any]) -> str:
+    """Pairs of large grids: what they take, how fast they answer, and how many answers are wrong."""
+    return formatted(
+        (
+            row
+            | {
+                "megabytes": row["resident_bytes"] / 1e6,
+                "pairs": row["random_pairs"] + row["near_pairs"],
+                "window_ms": 1e3 * row["window_cpu_seconds"],
+            }
+            for row in results["rows"]
+        ),
+        *(("map", "{map}"), ("steps to", "{connectivity}"), ("cells", "{cells:,}"), ("corners", "{corners:,}")),
+        *(("s to build", "{build_cpu_seconds:.2g}"), ("GB then", "{peak_gigabytes_of_process:.2g}")),
+        *(("bytes of the file", "{file_bytes:,}"), ("MB in memory", "{megabytes:.3g}")),
+        *(("tables of 10,000 goals, times ours", "{tables_over_ours:,.0f}"), ("pairs", "{pairs:,}")),
+        *(("wrong", "{wrong:,}"), ("ns a pair", "{cpu_nanoseconds:,.0f}"), ("in C", "{c_nanoseconds:,.0f}")),
+        ("ms of 10,000 windows", "{window_ms:,.0f}"),
+    )

@@ -87,6 +87,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "solve_nodes": (distances.solve_nodes, "solve.nodes"),
     "summaries": (distances.summaries, "compare_summaries"),
     "pair_bounds": (distances.pair_bounds, "pair_bounds"),
+    "fleets": (distances.fleets, "fleets"),
     "shaping": (uses.shaping, "shaping.learning", "shaping.speed"),
     "families": (distances.families, "families"),
     "query": (distances.query, "benchmark.query"),
