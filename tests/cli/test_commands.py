@@ -129,6 +129,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     assert "holds      GridPairs\n" in done("info", grid)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_view_writes_a_page(maze, pairs, tmp_path):
     (points, grid), page = pairs, tmp_path / "a.html"
     assert "open it in a browser" in done("view", maze, "maze", "-o", page)
