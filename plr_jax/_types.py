@@ -160,10 +160,6 @@ class CellSources(Protocol):
         """The order of sources in which the first of equals is taken."""
         ...
 
-    def put_together(self, cell: Int[np.ndarray, "cells"], num_cells: int, /) -> "CellSources":
-        """The same pieces, as those of fewer cells: of each cell the one that it is in, in their order."""
-        ...
-
     def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
         """Those of some of the cells, in any order, which may be repeated."""
         ...

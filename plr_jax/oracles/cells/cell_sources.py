@@ -112,10 +112,6 @@ class VisibleSources:
         """Those of some pieces, each a cell of its own."""
         return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
-    def put_together(self: Found, cell: Int[np.ndarray, "cells"], num_cells: int) -> Found:
-        """The same pieces, as those of fewer cells: of each cell the one that it is in, in their order."""
-        return replace(self, num_cells=num_cells, cell=cell[self.cell])
-
     def _of_pieces(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
