@@ -11,6 +11,7 @@ from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
 from plr_jax.plr.certificate.bounds import LeafBounds, LeafFunctions, prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.partition.cells import tree_of_levels
+from plr_jax.plr.sampling.cell_memory import sources_down
 
 _COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
 
@@ -55,17 +56,11 @@ def certificate_of_bounds(
 def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
     """The sources of all leaves as cells, found down the tree."""
     tree = tree_of_levels(contents.levels, contents.domain.dim)
-    visible, nodes, parts, leaves = root, np.zeros(1, np.int64), [], []
-    while len(nodes):
+    parts, leaves = [], []
+    for nodes, visible in sources_down(tree, root, contents.domain):
         is_leaf = tree.child[nodes] < 0
         parts.append(visible.of_cells(np.flatnonzero(is_leaf)))
         leaves.append(nodes[is_leaf])
-        inner = np.flatnonzero(~is_leaf)
-        parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
-        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
-        is_upper = np.arange(len(nodes)) % 2 == 1
-        lo, hi = tree.cells[nodes].grown_boxes(contents.domain)
-        visible = visible.parts(parent, axis, is_upper, lo, hi)
     order = np.argsort(np.concatenate(leaves))
     place = np.argsort(np.argsort(tree.node_of_leaf))
     return parts[0].append(*parts[1:]).of_cells(order[place])

@@ -68,6 +68,13 @@ def test_what_is_closed_off_and_opened_again_is_answered_again(oracle, plr):
     assert check(again, opened.workspace, [door]) < 1e-3
 
 
+def test_a_domain_from_which_nothing_leads_to_the_goal_any_more_is_refused(oracle):
+    far = construct(oracle, ((6, 0), (8, 6)), leaf="cone", max_bytes=300, certified=True)
+    closed = oracle.with_workspace(oracle.workspace.with_obstacles([shapely.box(5.1, 0, 5.4, 6)]))
+    with pytest.raises(ValueError, match="cannot be reached any more from anywhere in the domain"):
+        far.updated(closed)
+
+
 def test_where_another_way_is_taken_all_behind_moves_by_one_number():
     """Both ways around a wall end at one corner: beyond it, distances grow alike, and leaves stay."""
     walls = [shapely.box(2, 1, 6, 5), shapely.box(6.5, 0, 7, 3), shapely.box(6.5, 3.2, 7, 6)]

@@ -1,5 +1,6 @@
 """What an oracle says of cells, remembered: a cell inherits from the one that it is a half of."""
 
+from collections.abc import Iterator
 from typing import TypeAlias
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import parts, run_members
 from plr_jax._types import CellSources, CellwiseFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells, grown_domain
+from plr_jax.plr.partition.cells import Cells, Tree, grown_domain
 
 _Key: TypeAlias = tuple[int, ...]
 _POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 16, 1 << 19  # of a piece and a point, of a point and a source
@@ -57,6 +58,20 @@ class CellMemory:
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
         parts = [self._parts[part[run[0]]].of_cells(place[run]) for run in runs]
         return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
+
+
+def sources_down(
+    tree: Tree, root: CellSources, domain: Box
+) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
+    """The nodes of a tree, level by level from that of the grown domain, and their sources as cells."""
+    nodes, visible = np.zeros(1, np.int64), root
+    while len(nodes):
+        yield nodes, visible
+        inner = np.flatnonzero(tree.child[nodes] >= 0)
+        parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
+        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
+        lo, hi = tree.cells[nodes].grown_boxes(domain)
+        visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:

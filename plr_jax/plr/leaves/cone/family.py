@@ -7,7 +7,7 @@ hundred corners in 1 KB, leaves are fewer than the start expects, and a good tre
 starts at the whole domain.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,9 +18,9 @@ from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.growth.levels import POOR, BoxLevel, may_halve
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import Forest, Thrift
+from plr_jax.plr.growth.optimal import Thrift
 from plr_jax.plr.leaves.base import MemberLeaves
-from plr_jax.plr.leaves.cone.best import best_cones
+from plr_jax.plr.leaves.cone.best import best_cones, run_through
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, only_sources
 from plr_jax.plr.partition.cells import Cells, grown_domain
 from plr_jax.plr.sampling.cell_fit import Pattern
@@ -70,7 +70,7 @@ class FamilyTask:
         levels = [*self._above(boxes, node_of), BoxLevel.of(boxes, key)]
         roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
         sources = [_corners_first(oracle.sources) for oracle in oracles]
-        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, _run, _THRIFT)
+        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_through, _THRIFT)
 
     def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
         """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""
@@ -122,9 +122,3 @@ def _corners_first(sources: Sources) -> Sources:
     """Sources in the order of viewpoints, the goal last."""
     parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
     return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)
-
-
-def _run(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
-    while (larger := step(forest)) is not None:
-        forest = larger
-    return forest

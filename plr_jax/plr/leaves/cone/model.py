@@ -14,7 +14,6 @@ from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_o
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.range_coder import Coder
 from plr_jax.plr.growth.best_first import best_axis, largest_error
-from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits, grow
 from plr_jax.plr.leaves.base import (
     UNIT,
@@ -25,8 +24,7 @@ from plr_jax.plr.leaves.base import (
     UpdatedLeaves,
     largest_coordinates,
 )
-from plr_jax.plr.leaves.cone.best import best_cones
-from plr_jax.plr.leaves.cone.boxes import root_box
+from plr_jax.plr.leaves.cone.best import best_cones_of_goal
 from plr_jax.plr.leaves.cone.changed_sources import coded_sources
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
@@ -70,10 +68,8 @@ class Cone(FamilyLeafModel):
             domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
             if not len(visible.cell):
                 sampler.root()  # which says so
-            levels = [BoxLevel.of(root_box(visible, domain, limits.tolerance), Cells.root(2).hashes())]
             run = partial(grow, limits=limits)
-            root = np.zeros(1, np.int64)
-            ((_, cells, stored),) = best_cones(levels, root, [visible.sources], domain, limits, sampler.pattern, run)
+            _, cells, stored = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
             return cells, stored
         return grow_from_samples(sampler, rules, limits)
 

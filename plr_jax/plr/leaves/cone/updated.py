@@ -18,12 +18,14 @@ from plr_jax.plr.growth.levels import LEAST_SHARE_PROVEN, BoxLevel, expand
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import OwnBoxes, best_axes
 from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
+from plr_jax.plr.leaves.cone.best import best_cones_of_goal, run_through
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, resolved_error
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.kept import ConeLeaves
 from plr_jax.plr.leaves.cone.sight import MemberTree, options_of_trees, sources_in_sight
 from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree, grown_domain
 from plr_jax.plr.sampling.cell_fit import Pattern
+from plr_jax.plr.sampling.cell_memory import sources_down
 
 _ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest distance, by which those may be off
 _MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
@@ -32,7 +34,6 @@ _FAR = 0.8  # of the limits: so few that all leaves are sought
 _ATTEMPTS = 12  # to find a price
 _MOST_SOUGHT = 512  # leaves at once that err most
 _RATE = 2.0  # a price falls about as the limits are used up to this power
-_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
 _WANTING = 0.15  # of leaves, as many as err by more than the price where a tree is cut short by its limits
 _NO_PRICE = np.finfo(float).tiny
 _FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
@@ -61,15 +62,9 @@ def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> Pric
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, resolved_error(oracle.sources.distances))
     (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
-    visible, nodes = oracle.cell_sources(grown_domain(domain)), np.zeros(1, np.int64)
-    while len(nodes):
+    for nodes, visible in sources_down(tree, oracle.cell_sources(grown_domain(domain)), domain):
         boxes = fitted_boxes(domain, negligible, tree.cells[nodes], visible)
         integral[nodes], error[nodes], source[nodes] = boxes.integral, boxes.error, boxes.source
-        inner = np.flatnonzero(tree.child[nodes] >= 0)
-        axis = np.repeat(tree.axis[nodes[inner]], 2)
-        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
-        lo, hi = tree.cells[nodes].grown_boxes(domain)
-        visible = visible.parts(np.repeat(inner, 2), axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
     costs = integral + _share(tree, limits) * error
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
@@ -102,10 +97,14 @@ def updated_cones(
     priced = proven.priced or priced_nodes(leaves, before, limits)
     change, source = leaves.kept(changed, before.sources, oracle.sources)
     search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
-    best = _best_of_changed(search)
+    if search.is_sought.all() and (search.levels[0].boxes.source < 0).all():
+        raise ValueError(f"The goal cannot be reached any more from anywhere in the domain, {leaves.domain}.")
+    best = _best_within(search)
     if best is None:
-        search = ConeSearch.of(leaves, priced, changed, np.full_like(change, np.nan), source, oracle, limits)
-        best = _best_of_all(search)
+        visible = oracle.cell_sources(grown_domain(leaves.domain))
+        levels, cells, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_through)
+        visible, unknown = oracle.sources_of_boxes(*cells.grown_boxes(leaves.domain)), np.zeros((2, len(cells)))
+        return UpdatedLeaves(levels, cells, new, LeafBounds(*unknown), np.arange(len(cells)), visible, None)
     cells, new = search.cells(best.leaves), search.files.stored(search.sources_in_sight(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
@@ -233,10 +232,7 @@ class ConeSearch:
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
         """Nodes of the tree as boxes."""
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
-        if np.array_equal(node, [0]):
-            visible = self.oracle.cell_sources(grown_domain(domain))
-        else:
-            visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
+        visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
         negligible = max(self.limits.tolerance, resolved_error(self.oracle.sources.distances))
         return fitted_boxes(domain, negligible, cells, visible)
 
@@ -251,10 +247,10 @@ class ConeSearch:
             first += len(level.key)
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
-    def look(self, price: float, margin: float) -> None:
-        """Look at boxes that may be leaves at a price, and no further at halves that cost so many times as much."""
+    def look(self, price: float) -> None:
+        """Look at boxes that may be leaves at a price."""
         each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.share, self.limits, margin, self.share)
+        expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
 
     def is_full(self, price: float) -> bool:
         """Whether most leaves stay, and hardly any errs by more than a price: room is left as nothing needs it."""
@@ -343,7 +339,7 @@ class ConeSearch:
         return PricedNodes(integral, error, source, found.price)
 
 
-def _best_of_changed(search: ConeSearch) -> FoundTree | None:
+def _best_within(search: ConeSearch) -> FoundTree | None:
     """The best tree with the leaves that stay; None if these are too many, or far too few, for the limits."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_sought)
@@ -354,7 +350,7 @@ def _best_of_changed(search: ConeSearch) -> FoundTree | None:
     if share < _LEFT and not is_full:  # room that the change before has left, so that all is looked at together
         price *= (share / _AIM) ** _RATE
         search.seek(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
-    search.look(price, _MARGIN)
+    search.look(price)
     now, fits, beyond = search.best(price), None, None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share > 1:
@@ -369,33 +365,6 @@ def _best_of_changed(search: ConeSearch) -> FoundTree | None:
             price *= (now.share / _AIM) ** (_RATE * attempt)
         now = search.best(price)
     return None if fits is None or (fits.share < _FAR and not is_full) else fits
-
-
-def _best_of_all(search: ConeSearch) -> FoundTree:
-    """The best tree if all leaves are sought: the price falls until the limits are used up."""
-    cost = search.levels[0].costs(search.share)
-    price = max(float(cost.sum()), _NO_PRICE)
-    search.look(price, np.inf)
-    fits, beyond = search.best(price), None
-    if fits.share > 1:
-        search.limits.require_room(fits.num_bytes)
-    for _ in range(_ATTEMPTS):
-        if beyond is None:
-            if fits.share > _LEFT:
-                break
-            drop = (max(fits.share, _NO_PRICE) / _AIM) ** _RATE
-            price = fits.price * min(max(drop, _LARGEST_DROP), _SMALLEST_DROP)
-            num_boxes = search.num_boxes
-            search.look(price, np.inf)
-            fits, now = search.best(fits.price), search.best(price)
-            if search.num_boxes == num_boxes and len(now.leaves) == len(fits.leaves):
-                break
-        elif fits.share > _FULL:
-            break
-        else:
-            now = search.best(_price_between(fits, beyond))
-        fits, beyond = (now, beyond) if now.share <= 1 else (fits, now)
-    return fits
 
 
 def _price_between(fits: FoundTree, beyond: FoundTree) -> float:
