@@ -6,8 +6,9 @@ from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellwiseFn, ChangingFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._proof import certificate_of
-from plr_jax.plr._update import Origin, can_be_updated
+from plr_jax.plr._update import Origin
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.leaves.base import FamilyLeafModel
 from plr_jax.plr.partition.cells import grown_domain
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
-    if can_be_updated(certified._contents) and isinstance(oracle, ChangingFn):
+    if isinstance(plr.leaf, FamilyLeafModel) and isinstance(oracle, ChangingFn):
         vars(certified)["_origin"] = Origin(oracle, certified.num_bytes)
     return certified
 
