@@ -70,6 +70,31 @@ def test_bounds_of_classes_hold_and_are_far_narrower_where_few_leaves_are_bad(se
     np.testing.assert_array_equal(found.bounds(), certificate.bounds())
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_classes_stay_as_far_as_they_hold_and_what_is_enough_is_within_them(seed):
+    """Most leaves are as before, some are new; now and then one is worse than all before."""
+    rng = np.random.default_rng(seed)
+    error, rounding = rng.uniform(1e-4, 2e-4, 5_000), np.full(5_000, 1e-9)
+    error[:20] = rng.uniform(0.05, 0.1, 20)
+    error[0] = 0.1
+    before = Certificate.of(LeafBounds(-error, error), rounding, Proof.CLASSES, 1.0, 8_000)
+    new = rng.permutation(5_000)[:300]
+    error[new] = rng.uniform(1e-5, 2e-4, 300)
+    error[:2] = 0.1, 0.01 if seed % 4 else 0.2
+    after = Certificate.of(LeafBounds(-error, error), rounding, Proof.CLASSES, 1.0, 8_000, before)
+    lower, upper = after.bounds()
+    assert (lower <= -error - rounding).all() and (upper >= error + rounding).all()
+    classes = {tuple(each) for each in before.bounds().T.tolist()}
+    stay = {tuple(each) for each in after.bounds().T.tolist()} <= classes
+    assert stay == (after.scale == before.scale) == (error.max() <= 0.1)
+    if stay:
+        low, high = before.enough(-error, error, rounding)
+        spare = 1.01e-3 * before.scale
+        assert ((low >= lower + rounding) | (low >= -error - spare)).all() and (low <= -error).all()
+        assert ((high <= upper - rounding) | (high <= error + spare)).all() and (high >= error).all()
+        assert np.mean(high > error + spare) > 0.001  # of leaves that need no better bound than their class has
+
+
 def test_leaves_that_do_not_exist_and_data_that_end_are_refused():
     data = written(np.array([[0, 9, 9, 9], [3, 5, 5, 5]])).to_bytes()
     for cut, num_leaves, message in ((data, 0, "names"), (data[:-1], 4, "end too early")):
