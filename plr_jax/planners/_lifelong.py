@@ -14,11 +14,17 @@ from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._options import BLOptions
-from plr_jax.planners._replan import ROWS_PER_STEP
 from plr_jax.planners._solution import Solution, Status
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.lattice.build import motions_of
-from plr_jax.planners.timetable import JointPath, LoneRobot, Motion, Timetable, in_rows, plan_through_time
+from plr_jax.planners.timetable import (
+    ROWS_PER_STEP,
+    JointPath,
+    LoneRobot,
+    Motion,
+    Timetable,
+    in_rows,
+    plan_through_time,
+)
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
 NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
@@ -131,7 +137,7 @@ class _Team:
         self.wanted, self.path = problem.starts.copy(), problem.starts[None]
         for i, robot in enumerate(problem.robots):
             self.wanted[i, : robot.dof] = problem.goals[i, : robot.dof]
-        self.step = options.step or first_step(problem, len(options.primitives), lambda step: True)
+        self.step = options.step or first_step(problem, len(options.primitives))
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
@@ -254,9 +260,5 @@ class _Team:
 
     def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
         """A motion of a robot among the others, and whether it leads to the goal."""
-        problem, robot, weight = self.problem, self.problem.robots[i], float(self.problem.rotation_weights[i])
-        primitives, deadline = self.options.primitives, timetable.test.deadline
-        motions = motions_of(problem.workspace, robot, weight, self.step, primitives, deadline)
-        start, goal = self.path[0, i, : robot.dof], problem.goals[i, : robot.dof]
-        lone = LoneRobot(i, motions, start, goal, self.length)
+        lone = LoneRobot(timetable, i, self.step, self.options.primitives)
         return plan_through_time(timetable, lone, _PATIENCE, _MOST_STATES)

@@ -11,10 +11,16 @@ from plr_jax._problem import Problem, motion_costs
 from plr_jax.planners._options import BLOptions
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.lattice.build import motions_of
-from plr_jax.planners.timetable import JointPath, LoneRobot, Motion, Timetable, in_rows, plan_through_time
+from plr_jax.planners.timetable import (
+    ROWS_PER_STEP,
+    JointPath,
+    LoneRobot,
+    Motion,
+    Timetable,
+    in_rows,
+    plan_through_time,
+)
 
-ROWS_PER_STEP = 2.8  # of a lattice: a step takes 3 rows, a diagonal one 4, hardly more than at unit speed
 _MOST_STATES = 20_000  # expanded for one robot
 _ATTEMPTS = 3  # times as many robots are planned at most as the team has, before that is planned from nothing
 _DEFAULT_OPTIONS = BLOptions()
@@ -61,7 +67,7 @@ def replan(
     """
     began = time.perf_counter()
     fixed = _require_standing(problem, standing)
-    step = options.step or first_step(problem, len(options.primitives), lambda step: True)
+    step = options.step or first_step(problem, len(options.primitives))
     path = in_rows(problem, _rest(problem, solution, at), step / ROWS_PER_STEP)
     timetable = Timetable(problem, path, deadline=began + options.time_limit)
     try:
@@ -80,24 +86,21 @@ def replan(
 
 def _replan(problem: Problem, timetable: Timetable, step: float, options: BLOptions, fixed: set[int]) -> bool:
     """Plan those anew whose motions do not lead to their goals any more; whether all have one that does."""
-    robots, deadline = problem.robots, timetable.test.deadline
-    todo = [i for i in range(len(robots)) if i not in fixed and not _leads_to_goal(timetable, i)]
+    num_robots = len(problem.robots)
+    todo = [i for i in range(num_robots) if i not in fixed and not _leads_to_goal(timetable, i)]
     timetable.absent.update(todo)
     for i in fixed:
         timetable.move(i, timetable.path[:1, i])
     for i in fixed:
         todo += _in_the_way(timetable, i, timetable.path[:, i], fixed)
-    for _ in range(_ATTEMPTS * len(robots)):
+    for _ in range(_ATTEMPTS * num_robots):
         if not todo:
             return True
         i = todo.pop(0)
-        robot, weight = robots[i], float(problem.rotation_weights[i])
-        motions = motions_of(problem.workspace, robot, weight, step, options.primitives, deadline)
-        ends = problem.starts[i, : robot.dof], problem.goals[i, : robot.dof]
-        lone = LoneRobot(i, motions, *ends, step / ROWS_PER_STEP)
+        lone = LoneRobot(timetable, i, step, options.primitives)
         motion, arrives = plan_through_time(timetable, lone, math.inf, _MOST_STATES)
         if motion is None or not arrives:
-            others, timetable.absent = timetable.absent, {*range(len(robots))} - fixed
+            others, timetable.absent = timetable.absent, {*range(num_robots)} - fixed
             motion, arrives = plan_through_time(timetable, lone, math.inf, _MOST_STATES)
             timetable.absent = others
             if motion is None or not arrives:

@@ -306,7 +306,7 @@ class _Run:
         return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
 
 
-def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool]) -> float:
+def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool] = lambda step: True) -> float:
     """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
     # Cells about as large as the smallest robot, whose lattices have room for it to pass.
     extent = float(problem.workspace.bounds.width.max())

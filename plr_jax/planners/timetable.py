@@ -6,6 +6,7 @@ rows as it needs at that speed. So robots need not move in step with one another
 
 import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from plr_jax._arrays import runs
 from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, Traffic, circles
-from plr_jax.planners.lattice.build import Motions
+from plr_jax.planners.lattice.build import Primitive, motions_of
 from plr_jax.planners.lattice.joint import Lattice
 from plr_jax.robots.robot import between
 
@@ -106,12 +107,8 @@ class Timetable:
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
-        free, soonest, clear = np.empty(len(taken)), math.inf, 0.0 if taken[-1] else math.inf
-        for row in range(len(taken) - 1, -1, -1):
-            clear = 0.0 if taken[row] else clear + 1
-            soonest = row if clear >= rest else soonest
-            free[row] = soonest
-        return free
+        until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
+        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
         """Motions of one robot, each in the row given, that meet others, and whom."""
@@ -143,6 +140,7 @@ def _rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n
 #     Silver, "Cooperative pathfinding", 2005.
 
 
+ROWS_PER_STEP = 2.8  # of a lattice: a step takes 3 rows, a diagonal one 4, hardly more than at unit speed
 _WAIT = 3  # rows of a wait; a node is reached once in as many rows
 _BATCH = 16  # states expanded at once
 _ROOM = 4  # radii from walls at which a robot that rests leaves room for another to pass, and to spare
@@ -153,20 +151,25 @@ class LoneRobot:
     """One robot on its lattice, whose motions cost as many rows as they take.
 
     Args:
+        timetable: The team, where it stands, and until when motions are to be found.
         index: Which robot of the team it is.
-        motions: Those of its kind.
-        start, goal: Its ends.
-        length: Of a row, in units of cost.
+        step: Of its lattice.
+        primitives: Likewise.
 
     Attributes:
+        length: Of a row, in units of cost.
         rows_to_go: Rows from each node to the goal, if the robot is alone; ``inf`` where there is no way.
     """
 
-    def __init__(self, index: int, motions: Motions, start: Configuration, goal: Configuration, length: float):
-        self.index, self.length, self.weight = index, length, motions.rotation_weight
-        lattice = motions.with_ends(start[None], goal[None])[0]
-        table = replace(lattice.table, cost=_rows(lattice.table.cost, length))
-        self.lattice = Lattice(table, lattice.ends._replace(cost=_rows(lattice.ends.cost, length)))
+    def __init__(self, timetable: Timetable, index: int, step: float, primitives: Sequence[Primitive]):
+        problem, robot = timetable.problem, timetable.problem.robots[index]
+        self.index, self.length, self.weight = index, step / ROWS_PER_STEP, float(problem.rotation_weights[index])
+        deadline = timetable.test.deadline
+        motions = motions_of(problem.workspace, robot, self.weight, step, primitives, deadline)
+        start, goal = timetable.path[:1, index, : robot.dof], problem.goals[[index], : robot.dof]
+        lattice = motions.with_ends(start, goal)[0]
+        table = replace(lattice.table, cost=_rows(lattice.table.cost, self.length))
+        self.lattice = Lattice(table, lattice.ends._replace(cost=_rows(lattice.ends.cost, self.length)))
         child, cost = self.lattice.child, self.lattice.cost
         leads = np.isfinite(cost)
         first = np.append(0, np.cumsum(leads.sum(axis=1)))
