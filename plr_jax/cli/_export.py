@@ -62,49 +62,37 @@ def export(
     from plr_jax.plr import load_numpy
 
     require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
-    require_writable(tables, (".tables", ".bin"), inputs=(file,))
     if js and (name is not None or tables is not None):
         raise ValueError("--name and --tables are for headers of C: a module has its tables, and exports one name.")
     is_of_pairs = file_holds_pairs(file)
-    if goal is not None and not is_of_pairs:
+    held: Any = loaded(file) if is_of_pairs else load_numpy(file)
+    if is_of_grid := hasattr(held, "window"):
+        if js:
+            raise ValueError(f"{file} holds pairs of cells of a grid, of which no module of JavaScript is written.")
+        if goal is not None:
+            raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
+        tables = tables or output.with_suffix(".tables")
+    elif is_of_pairs and not (js and goal is None):
+        held = goal_of_pairs(held, file, goal)
+    elif goal is not None:
         raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
-    if is_of_pairs:
-        pairs = loaded(file)
-        if hasattr(pairs, "window") and not js:
-            if goal is not None:
-                raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
-            _export_grid(pairs, file, output, tables, name)
-            return
-        plr = pairs if js and goal is None else goal_of_pairs(pairs, file, goal)
-    else:
-        plr = load_numpy(file)
-    if js and not hasattr(plr, "js_module"):
-        raise ValueError(f"{file} holds pairs of cells of a grid, of which no module of JavaScript is written.")
-    header = output.stem if name is None else name
-    text = plr.js_module() if js else plr.c_header(header, loads_tables=tables is not None)
-    write_atomically(output, text.encode())
-    if tables is not None:
-        write_atomically(tables, data := plr.c_tables())
-        typer.echo(f"wrote {output}: {len(text):,} bytes of text, and {tables}: {len(data):,} bytes")
-        return
-    if js:
-        typer.echo(f"wrote {output}: {len(text):,} bytes of text")
-        return
-    (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
-    typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
-
-
-def _export_grid(pairs: Any, file: Path, output: Path, tables: Path | None, name: str | None) -> None:
-    """Write the header of pairs of a grid, and its file of tables."""
-    from plr_jax._atomic import write_atomically
-
-    tables = output.with_suffix(".tables") if tables is None else tables
     require_writable(tables, (".tables", ".bin"), inputs=(file,))
-    header = pairs.c_header(output.stem if name is None else name)
-    write_atomically(tables, header.table)
-    write_atomically(output, header.text.encode())
-    size = f"{len(header.text):,} bytes of text, and {tables}: {len(header.table):,} bytes"
-    typer.echo(f"wrote {output}: {size}")
+    name = output.stem if name is None else name
+    if js:
+        text, table = held.js_module(), b""
+    elif is_of_grid:
+        header = held.c_header(name)
+        text, table = header.text, header.table
+    else:
+        text, table = held.c_header(name, loads_tables=tables is not None), b"" if tables is None else held.c_tables()
+    told = f"wrote {output}: {len(text):,} bytes of text"
+    if tables is not None:
+        write_atomically(tables, table)
+        told += f", and {tables}: {len(table):,} bytes"
+    elif not js:
+        told += ", {} of tables when it is compiled".format(*re.findall(r"tables take ([\d,]+) bytes", text))
+    write_atomically(output, text.encode())
+    typer.echo(told)
 
 
 @command(
@@ -137,18 +125,11 @@ def view(
 
     output = output or Path(f"{file.stem}.html")
     require_writable(output, (".html",), inputs=(file, map))
-    held = loaded(file)
-    reading = {
-        "resolution": resolution,
-        "threshold": threshold,
-        "drop_specks": drop_specks,
-        "polygons": polygons,
-        "radius": radius,
-    }
-    workspace = None
+    held, workspace = loaded(file), None
     if map is not None or not file_holds_pairs(file):
-        label = getattr(held, "label", "")
-        workspace, _ = read_map_of_file(file, label, map, goal=None, is_needed=False, **reading)
+        reading = {"threshold": threshold, "drop_specks": drop_specks, "polygons": polygons, "radius": radius}
+        told = file, getattr(held, "label", ""), map
+        workspace, _ = read_map_of_file(*told, goal=None, is_needed=False, resolution=resolution, **reading)
     written = page(held, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")
