@@ -7,11 +7,10 @@ have changed by one number, so have those of all points in it.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-
-from plr_jax.geometry.vectors import turned_left
 
 Triangles = Float[np.ndarray, "triangles 3 2"]
 Corners = Float[np.ndarray, "4 2"]
@@ -79,13 +78,13 @@ class ChangedDistances:
 def are_met(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
     """Whether the convex hulls of some points each meet a box: neither a side of it nor a line by two parts them."""
     met = np.zeros(len(hulls), bool)
+    x, y = np.ascontiguousarray(hulls.transpose(2, 1, 0))  # NumPy is slow where the last axis is short
+    lo, hi = (np.stack([end(x, axis=0), end(y, axis=0)], axis=1) for end in (np.min, np.max))
     for box in boxes:
-        rows = np.flatnonzero(~met & ((hulls.min(axis=1) <= box[2]) & (hulls.max(axis=1) >= box[0])).all(axis=1))
-        for i in range(hulls.shape[1]):
-            for j in range(i):
-                normal = turned_left(hulls[rows, i] - hulls[rows, j])
-                own = (hulls[rows] * normal[:, None]).sum(axis=2)
-                other = normal @ box.T
-                rows = rows[(own.max(axis=1) >= other.min(axis=1)) & (other.max(axis=1) >= own.min(axis=1))]
+        rows = np.flatnonzero(~met & ((lo <= box[2]) & (hi >= box[0])).all(axis=1))
+        for i, j in combinations(range(len(x)), 2):
+            dx, dy = x[j, rows] - x[i, rows], y[j, rows] - y[i, rows]
+            own, other = dx * y[:, rows] - dy * x[:, rows], dx * box[:, 1:] - dy * box[:, :1]
+            rows = rows[(own.max(axis=0) >= other.min(axis=0)) & (other.max(axis=0) >= own.min(axis=0))]
         met[rows] = True
     return met

@@ -243,7 +243,17 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
         "all-pairs" in Section II of the paper.
     """
     limits = limits_of(workspace, max_bytes)
-    visibility, unlisted, rank = without_lists(workspace)
+    return pairs_of_stored(*grown(workspace, limits, *without_lists(workspace)), MadeOf(workspace, max_bytes))
+
+
+def grown(
+    workspace: Workspace,
+    limits: Limits,
+    visibility: CornerVisibility,
+    unlisted: Stored,
+    rank: Int[np.ndarray, "corners"],
+) -> tuple[Stored, bytes]:
+    """What a file of :func:`without_lists` holds after lists are grown for it, and its bytes."""
 
     def stored(lists: Lists) -> Stored:
         levels, order = levels_of(lists.cells)
@@ -257,7 +267,7 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     held = stored(lists)
     data = held.to_bytes()
     require_bytes(len(data), limits)
-    return pairs_of_stored(held, data, MadeOf(workspace, max_bytes))
+    return held, data
 
 
 def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:

@@ -29,7 +29,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -150,6 +150,7 @@ class Stored:
     listed: Int[np.ndarray, "entries"]
     rounding: float
     rounding_of_outline: float | None
+    label: str = ""
 
     @cached_property
     def tree(self) -> Tree:
@@ -203,7 +204,8 @@ class Stored:
         write_tree(lists, self.levels, 2)
         _write_lists(lists, self.tree, self.leaf, self.listed, len(self.corner))
         bodies = [first, lists] if self.rounding_of_outline is None else [first, pairs, lists]
-        return Container(self.domain, tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in bodies)).to_bytes()
+        layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in bodies)
+        return Container(self.domain, layers, label=self.label).to_bytes()
 
     @staticmethod
     def from_bytes(data: bytes) -> "Stored":
@@ -297,17 +299,25 @@ def _read_leaves(
     return levels, leaf, listed
 
 
+def listed_by_nodes(tree: Tree, is_listed: Bool[np.ndarray, "leaves corners"]) -> Bool[np.ndarray, "nodes corners"]:
+    """The corners that all leaves of each node list together."""
+    of_node = np.zeros((len(tree.child), is_listed.shape[1]), bool)
+    of_node[tree.node_of_leaf] = is_listed
+    for split in reversed(tree.splits):
+        of_node[split] = of_node[tree.child[split]] | of_node[tree.child[split] + 1]
+    return of_node
+
+
 def _write_lists(
     body: BitWriter, tree: Tree, leaf: Int[np.ndarray, "entries"], listed: Int[np.ndarray, "entries"], count: int
 ) -> None:
-    """Append the leaves' lists: a node's list is that of both its halves together."""
-    is_listed = np.zeros((len(tree.child), count), bool)
-    is_listed[tree.node_of_leaf[leaf], listed] = True
-    for split in reversed(tree.splits):
-        is_listed[split] = is_listed[tree.child[split]] | is_listed[tree.child[split] + 1]
-    body.write_set(~is_listed[0])
+    """Append the leaves' lists, each node's as what its halves do not list."""
+    is_listed = np.zeros((len(tree.node_of_leaf), count), bool)
+    is_listed[leaf, listed] = True
+    of_node = listed_by_nodes(tree, is_listed)
+    body.write_set(~of_node[0])
     for split in filter(len, tree.splits):
-        inherited, own = is_listed[np.repeat(split, 2)], is_listed[halves_of(tree, split)]
+        inherited, own = of_node[np.repeat(split, 2)], of_node[tree.halves(split)]
         body.write_set(~own[inherited])
 
 
@@ -321,7 +331,7 @@ def _read_lists(
         place = tree.leaf_of_node[nodes[node]]
         parts.append((place[place >= 0], corner[place >= 0]))
         listed_so_far += len(parts[-1][0])
-        halves = halves_of(tree, split)
+        halves = tree.halves(split)
         first = np.searchsorted(node, np.arange(len(nodes) + 1))
         parent = np.repeat(np.searchsorted(nodes, split), 2)
         if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
@@ -335,8 +345,3 @@ def _read_lists(
     leaf, listed = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(leaf, kind="stable")
     return leaf[order], listed[order]
-
-
-def halves_of(tree: Tree, split: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
-    """Both halves of some nodes, side by side."""
-    return (tree.child[split][:, None] + np.arange(2)).ravel()

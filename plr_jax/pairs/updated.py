@@ -14,13 +14,14 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import shortened
+from plr_jax.geometry.changed_distances import Corners, are_met
 from plr_jax.geometry.changes import may_see, sees_all
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, find_corners
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.construct import (
     IN_VAIN,
-    construct_pairs,
     corners_in_outline,
+    grown,
     keys_of,
     limits_of,
     lists_of,
@@ -29,11 +30,10 @@ from plr_jax.pairs.construct import (
     without_lists,
 )
 from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
-from plr_jax.pairs.stored import Stored, halves_of, most_leaves
+from plr_jax.pairs.stored import Stored, listed_by_nodes, most_leaves
 from plr_jax.pairs.visible_corners import VisibleCorners, may_turn, visible_of_lists
-from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.partition.cells import Cells, Level, Tree, tree_of
+from plr_jax.plr.partition.cells import Cells, Level, Tree, levels_of, tree_of
 
 _NEAR = 4  # tolerances of the workspace from what has changed, within which a way meets it
 _SHARE = 0.5  # of halvings, that spare less than is worth a new one
@@ -41,33 +41,29 @@ _SPARE = 0.97  # of the bytes that there are, for which halvings are undone wher
 _MOST_CHANGED = 0.5  # of all leaves: where more may have to be halved, all is constructed anew
 
 Hulls = Float[np.ndarray, "2 4 n"]
-Boxes = Float[np.ndarray, "2 4 boxes"]
 Listed = Bool[np.ndarray, "leaves corners"]
 
 
 def updated_pairs(pairs: PairPLR, workspace: Workspace, before: Workspace, max_bytes: int | None) -> PairPLR:
     """What :meth:`PairPLR.updated` makes."""
-    limits, frame = limits_of(workspace, max_bytes), frame_size(pairs.domain)
+    limits = limits_of(workspace, max_bytes)
     if not isinstance(before, Workspace):
         raise ValueError(f"before must be the Workspace that the pairs are of, got {shortened(before)}.")
     if workspace.bounds != pairs.domain:
         raise ValueError(f"The bounds must stay those of the pairs, {pairs.domain}, got {workspace.bounds}.")
-    of_label = frame_size(pairs.domain, label=pairs.label) - frame
-    limits = replace(limits, max_bytes=limits.max_bytes - of_label)
     visibility, unlisted, rank = without_lists(workspace)
+    unlisted = replace(unlisted, label=pairs.label)
     number = _numbers_now(pairs.stored, before, visibility.corners)
     update, tree = _Update(workspace, visibility, limits), pairs.stored.tree
     is_listed, is_doubtful = update.relisted(pairs.stored, number, _changed_boxes(before, workspace))
     is_other = (before.tolerance, before.squeeze) != (workspace.tolerance, workspace.squeeze)
     if is_other or is_doubtful.mean() > _MOST_CHANGED:
-        new = construct_pairs(workspace, max_bytes=max(1, int(limits.max_bytes)))
+        made = grown(workspace, limits, visibility, unlisted, rank)
     else:
         if is_doubtful.any():
             tree, is_listed = update.refined(tree, is_listed, is_doubtful)
-        new = pairs_of_stored(*_fitted(unlisted, tree, is_listed[:, np.argsort(rank)], limits))
-    new = new.with_label(pairs.label)
-    vars(new)["_origin"] = MadeOf(workspace, max_bytes)
-    return new
+        made = _fitted(unlisted, tree, is_listed[:, np.argsort(rank)], limits)
+    return pairs_of_stored(*made, MadeOf(workspace, max_bytes))
 
 
 def _numbers_now(stored: Stored, before: Workspace, corners: ReflexCorners) -> Int[np.ndarray, "corners"]:
@@ -91,33 +87,17 @@ def _rows(corners: ReflexCorners) -> Float[np.ndarray, "corners 6"]:
     return np.column_stack([corners.points, *corners.walls])
 
 
-def _changed_boxes(before: Workspace, workspace: Workspace) -> Boxes:
+def _changed_boxes(before: Workspace, workspace: Workspace) -> list[Corners]:
     """Boxes around the parts of the plane that are free in one of two workspaces alone."""
     parts: Any = shapely.get_parts(shapely.symmetric_difference(before.free_space, workspace.free_space))
     near, ends = _NEAR * max(before.tolerance, workspace.tolerance), shapely.bounds(parts)
-    return _hulls(ends[:, :2] - near, ends[:, 2:] + near)
+    return list(_hulls(ends[:, :2] - near, ends[:, 2:] + near).T)
 
 
 def _hulls(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Hulls:
     """The corners of boxes, counterclockwise from the lower one."""
     (x0, y0), (x1, y1) = lo.T, hi.T
     return np.stack([np.stack([x0, x1, x1, x0]), np.stack([y0, y0, y1, y1])])
-
-
-def _meet_ways(boxes: Boxes, hulls: Hulls, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-    """Whether one of the boxes meets a way from each hull, itself a box, to its point: no such way parts them."""
-    x, y = hulls - points.T[:, None]
-    lo, hi = (np.stack([end(along, axis=0, initial=0.0) for along in (x, y)], axis=1) for end in (np.min, np.max))
-    met = np.zeros(len(points), bool)
-    for box in boxes.transpose(2, 0, 1):
-        rows = np.flatnonzero(~met & ((box[:, 2] - points >= lo) & (box[:, 0] - points <= hi)).all(axis=1))
-        (ox, oy), dx, dy = box[:, :, None] - points[rows].T[:, None], x[:, rows], y[:, rows]
-        apart = np.zeros(len(rows), bool)
-        for along_x, along_y in zip(dx, dy, strict=True):
-            own, other = along_x * dy - along_y * dx, along_x * oy - along_y * ox
-            apart |= (own.min(axis=0) > other.max(axis=0)) | (own.max(axis=0) < other.min(axis=0))
-        met[rows[~apart]] = True
-    return met
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +115,7 @@ class _Update:
     limits: Limits
 
     def relisted(
-        self, stored: Stored, number: Int[np.ndarray, "before"], boxes: Boxes
+        self, stored: Stored, number: Int[np.ndarray, "before"], boxes: list[Corners]
     ) -> tuple[Listed, Bool[np.ndarray, "leaves"]]:
         """Which corners the leaves of a file list now, and which see one that was looked for anew perhaps in part.
 
@@ -160,7 +140,7 @@ class _Update:
         return is_listed, is_doubtful
 
     def _open(
-        self, tree: Tree, hulls: Hulls, is_kept: Bool[np.ndarray, "corners"], boxes: Boxes
+        self, tree: Tree, hulls: Hulls, is_kept: Bool[np.ndarray, "corners"], boxes: list[Corners]
     ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
         """Pairs of a leaf and a corner that was there between which something has changed, or one that it may see."""
         points, found = self.visibility.corners.points, [np.zeros((2, 0), np.int64)]
@@ -168,11 +148,12 @@ class _Update:
         while len(node):
             stays, was = np.zeros(len(node), bool), is_kept[corner]
             stays[~was] = self._may_turn(hulls[:, :, node[~was]], corner[~was])
-            stays[was] = _meet_ways(boxes, hulls[:, :, node[was]], points[corner[was]])
+            ways = np.concatenate([points[corner[was], None], hulls[:, :, node[was]].T], axis=1)
+            stays[was] = are_met(ways, boxes)
             node, corner = node[stays], corner[stays]
             is_leaf = tree.child[node] < 0
             found.append(np.stack([tree.leaf_of_node[node[is_leaf]], corner[is_leaf]]))
-            node, corner = halves_of(tree, node[~is_leaf]), np.repeat(corner[~is_leaf], 2)
+            node, corner = tree.halves(node[~is_leaf]), np.repeat(corner[~is_leaf], 2)
         leaf, corner = np.concatenate(found, axis=1)
         return leaf, corner
 
@@ -187,7 +168,7 @@ class _Update:
     ) -> tuple[Tree, Bool[np.ndarray, "more corners"]]:
         """The tree and its lists after some leaves are halved until they are as fine as others."""
         domain, leaves, stay = self.workspace.bounds, tree.leaves, np.flatnonzero(~is_doubtful)
-        use = _use(tree, _listed_by_nodes(tree, is_listed), self.limits.max_axis_depth)
+        use = _use(tree, listed_by_nodes(tree, is_listed), self.limits.max_axis_depth)
         enough = domain.width.prod() * (np.quantile(use[use > 0], _SHARE) if use.any() else IN_VAIN)
         visible, cells = self._visible(leaves[is_doubtful], is_listed[is_doubtful]), leaves[is_doubtful]
         all_cells, rows = [leaves[stay]], [is_listed[stay]]
@@ -214,7 +195,7 @@ class _Update:
 
 def _fitted(unlisted: Stored, tree: Tree, is_listed: Listed, limits: Limits) -> tuple[Stored, bytes]:
     """A file of a tree and its lists, after halvings are undone: those of no use, and as many as it takes to fit."""
-    of_node = _listed_by_nodes(tree, is_listed)
+    of_node = listed_by_nodes(tree, is_listed)
     use, splits = _use(tree, of_node, limits.max_axis_depth), np.concatenate(tree.splits)
     splits = splits[np.lexsort((-splits, use[splits]))]  # those below a node before it
     most = min(limits.max_leaves, most_leaves(len(unlisted.corner)))
@@ -230,15 +211,6 @@ def _fitted(unlisted: Stored, tree: Tree, is_listed: Listed, limits: Limits) -> 
             require_bytes(len(data), limits)
         # As if leaves took all bytes, and alike: too few are undone rather than too many.
         num_leaves = max(1, int(_SPARE * num_leaves * limits.max_bytes / len(data)))
-
-
-def _listed_by_nodes(tree: Tree, is_listed: Listed) -> Bool[np.ndarray, "nodes corners"]:
-    """The corners that all leaves of each node list together."""
-    of_node = np.zeros((len(tree.child), is_listed.shape[1]), bool)
-    of_node[tree.node_of_leaf] = is_listed
-    for split in reversed(tree.splits):
-        of_node[split] = of_node[tree.child[split]] | of_node[tree.child[split] + 1]
-    return of_node
 
 
 def _use(tree: Tree, of_node: Bool[np.ndarray, "nodes corners"], most_halvings: int) -> Float[np.ndarray, "nodes"]:
@@ -261,15 +233,10 @@ def _use(tree: Tree, of_node: Bool[np.ndarray, "nodes corners"], most_halvings: 
 
 def _without(tree: Tree, undone: Int[np.ndarray, "some"]) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
     """The levels of the tree after some splits are undone, and its leaves in the order of the traversal."""
-    is_split, first_leaf = tree.child >= 0, tree.leaf_of_node.copy()
+    is_split, is_there = tree.child >= 0, np.ones(len(tree.child), bool)
     is_split[undone] = False
-    for split in reversed(tree.splits):
-        first_leaf[split] = first_leaf[tree.child[split]]
-    nodes, levels, leaves = np.zeros(1, np.int64), [], []
-    while len(nodes):
-        inner = is_split[nodes]
-        levels.append(Level(inner, tree.axis[nodes[inner]]))
-        leaves.append(nodes[~inner])
-        nodes = halves_of(tree, nodes[inner])
-    leaves = np.concatenate(leaves)
-    return levels, leaves[np.argsort(first_leaf[leaves])]
+    for split in tree.splits:
+        is_there[tree.halves(split)] = np.repeat(is_there[split] & is_split[split], 2)
+    leaves = np.flatnonzero(is_there & ~is_split)
+    levels, order = levels_of(tree.cells[leaves])
+    return levels, leaves[order]

@@ -145,6 +145,10 @@ class Tree:
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
 
+    def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
+        """Both halves of some nodes that are split, side by side."""
+        return (self.child[nodes][:, None] + np.arange(2)).ravel()
+
 
 def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
     """Levels of a tree whose leaves are the cells, and the leaves' indices in order of its traversal.

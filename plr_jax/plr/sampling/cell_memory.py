@@ -69,7 +69,7 @@ def sources_down(
         yield nodes, visible
         inner = np.flatnonzero(tree.child[nodes] >= 0)
         parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
-        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
+        nodes = tree.halves(nodes[inner])
         lo, hi = tree.cells[nodes].grown_boxes(domain)
         visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
 

@@ -152,7 +152,7 @@ class ConeLeaves:
             node, triangle = node[meets], triangle[meets]
             is_leaf = tree.child[node] < 0
             found.append(np.stack([tree.leaf_of_node[node[is_leaf]], triangle[is_leaf]]))
-            node = (tree.child[node[~is_leaf], None] + np.arange(2)).ravel()
+            node = tree.halves(node[~is_leaf])
             triangle = np.repeat(triangle[~is_leaf], 2)
         leaf, triangle = np.concatenate(found, axis=1)
         return leaf, triangle
