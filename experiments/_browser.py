@@ -14,11 +14,24 @@ from typing import Any
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _SECONDS = 60.0  # for an answer
+IS_OPEN = "typeof opened === 'object' && opened !== null"
+"""Whether a page of ``plot.page`` shows something."""
+IS_DRAWN = f"{IS_OPEN} && (!opened.isOfPairs || view.sights.corners.length === shown().corners)"
+"""Whether it shows all of it."""
 
 
 def chromium() -> str | None:
     """The browser, if there is one."""
     return next(filter(None, map(shutil.which, _NAMES)), None)
+
+
+def axe_core() -> str | None:
+    """The script of axe-core, which checks accessibility; None where npm has not installed it globally."""
+    try:
+        root = subprocess.run(["npm", "root", "-g"], capture_output=True, text=True, check=True).stdout.strip()
+        return (Path(root) / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 class Browser:
@@ -97,16 +110,21 @@ class Browser:
         return json.loads(message)
 
     def open(self, path: Path, until: str = "document.readyState === 'complete'") -> None:
-        """Open a file, and wait until an expression is true; raises ``RuntimeError`` if that takes too long."""
-        self.requests, self.errors, end = [], [], time.monotonic() + _SECONDS
+        """Open a file, and wait until an expression is true."""
+        self.requests, self.errors = [], []
         self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait(until)
+
+    def wait(self, until: str) -> None:
+        """Until an expression is true; raises ``RuntimeError`` if that takes a minute."""
+        end = time.monotonic() + _SECONDS
         while not self.run(until):
             if time.monotonic() > end:
-                raise RuntimeError(f"{path} has not opened in {_SECONDS:g} s: {self.errors}")
+                raise RuntimeError(f"After {_SECONDS:g} s this is not true: {until}; {self.errors}")
             time.sleep(0.02)
 
     def run(self, script: str) -> Any:
-        """The value of an expression of JavaScript; raises ``RuntimeError`` with what it throws."""
+        """The value of an expression of JavaScript; raises ``RuntimeError`` with what it throws, or if it hangs."""
         answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"]["exception"].get("description", "an exception"))

@@ -1,7 +1,6 @@
 """Distance functions in JavaScript: their bits and speed in Node and Chromium, and pages, small, quick and robust."""
 
 import re
-import subprocess
 import sys
 import tempfile
 from base64 import b64encode
@@ -14,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from experiments import portable
-from experiments._browser import Browser, chromium
+from experiments._browser import IS_DRAWN, IS_OPEN, Browser, axe_core, chromium
 from experiments._js_modules import NodeModule
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
@@ -23,8 +22,6 @@ from plr_jax import PLR, Box, PairPLR, VisibilityGraph, construct, construct_pai
 NUM_POINTS, CHUNK, NUM_FILES = 1_000_000, 100_000, 2_000
 PAIR_BYTES, CONE_BYTES = {"maze": 1_024, "arena": 16_384}, 1_024
 _WIDER = 1.1  # than the domain, points are drawn from
-_IS_OPEN = "typeof opened === 'object' && opened !== null"
-_IS_DRAWN = f"{_IS_OPEN} && (!opened.isOfPairs || view.sights.corners.length === shown().corners)"
 _PICTURE = (480, 625)
 _TESTS = Path(__file__).parent.parent / "tests"
 
@@ -107,7 +104,7 @@ def pages(seed: int, smoke: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         for name, page in shown.items():
             page.save(path := Path(folder) / "page.html")
-            browser.open(path, _IS_DRAWN)
+            browser.open(path, IS_DRAWN)
             row = {"what": name, "bytes": len(page.html.encode()), "requests": len(browser.requests) - 1}
             row |= {"errors": len(browser.errors), "queries_a_second": _rate(browser, smoke)}
             row["redraw_milliseconds"] = median(
@@ -156,11 +153,8 @@ def _rate(browser: Browser, smoke: bool) -> float:
 
 
 def _violations(browser: Browser) -> list[str] | None:
-    """What axe-core objects to; None where npm has not installed it globally."""
-    try:
-        root = subprocess.run(["npm", "root", "-g"], capture_output=True, text=True, check=True).stdout.strip()
-        axe = (Path(root) / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
-    except OSError:
+    """What axe-core objects to; None where there is none."""
+    if (axe := axe_core()) is None:
         return None
     found: set[str] = set()
     for theme in ("light", "dark"):
@@ -177,7 +171,7 @@ def picture(results: dict[str, Any], output: Path) -> list[Path]:
     path = output / "page.png"
     with tempfile.TemporaryDirectory() as folder, Browser(*_PICTURE) as browser:
         plot.page(_cones(), scenes.maze().workspace).save(page := Path(folder) / "page.html")
-        browser.open(page, _IS_OPEN)
+        browser.open(page, IS_OPEN)
         browser.run("document.body.style.overflow = 'hidden'; startSwarm([0.6, 0.85]); play(false); advance(1.2); 0")
         browser.picture(path)
     with Image.open(path) as image:
@@ -198,7 +192,7 @@ def hostile(seed: int, smoke: bool) -> dict[str, Any]:
     shown, said, seconds, failed = 0, set(), [], 0
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         plot.page(_cones(400), scenes.maze().workspace).save(path := Path(folder) / "page.html")
-        browser.open(path, _IS_OPEN)
+        browser.open(path, IS_OPEN)
         for number in range(20 if smoke else NUM_FILES):
             data = b64encode(hostile_files.hostile(reader, valid, seed, number)).decode()
             is_shown, says, took = browser.run(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
-from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
 from plr_jax.pairs.module import js_pairs_reader, require_lists
@@ -18,7 +17,7 @@ from plr_jax.plr import PLR, NumpyPLR
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.leaves import leaf_of_code
 from plr_jax.plr.leaves.base import SourcedLeafModel
-from plr_jax.plr.portable.module import BESIDE, FILE_READER, ROUNDED, js_cone_reader
+from plr_jax.plr.portable.module import js_cone_reader, js_file_reader
 
 _FRAME = (560, 900)  # pixels of a page inside another one
 _EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)
@@ -87,19 +86,18 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
             f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
         )
     data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
-    content = {"name": json.dumps(name), "walls": json.dumps(_walls(workspace, held.domain))}
+    walls = None if workspace is None else {"data": obstacles_path(workspace, held.domain)}
+    content = {"name": json.dumps(name), "walls": json.dumps(walls)}
     if isinstance(held, PairPLR):
         require_lists(data)
     if isinstance(held, PairPLR) or _is_read_there(data):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
-        parts = [NumpyPLR(data[:mark]) for mark in (*held.file_marks, len(data))]
-        sizes = (*held.file_marks, len(data))
-        modules = ", ".join(_module(plr, size) for plr, size in zip(parts, sizes, strict=True))
+        modules = ", ".join(_module(data[:mark]) for mark in (*held.file_marks, len(data)))
         content |= {"box": json.dumps(box), "modules": f"[{modules}]"}
     told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
-    readers = [ROUNDED, BESIDE, FILE_READER.read_text(encoding="utf-8"), js_cone_reader(), js_pairs_reader()]
+    readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
     script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
     return Page(
         document(name, part("field.css"), part("field.html").replace("{{play}}", PLAY), packed_script(script))
@@ -113,18 +111,12 @@ def _is_read_there(data: bytes) -> bool:
     return is_plain and all(isinstance(leaf_of_code(layer.leaf_code), SourcedLeafModel) for layer in container.layers)
 
 
-def _walls(workspace: Workspace | None, domain: Box) -> dict[str, str] | None:
-    """The obstacles of a workspace, placed as the page places the domain."""
-    if workspace is None:
-        return None
-    return {"data": obstacles_path(workspace, domain)}
-
-
-def _module(plr: NumpyPLR, num_bytes: int) -> str:
-    """A reader as an entry of the page's list of those."""
+def _module(data: bytes) -> str:
+    """The reader of a file as an entry of the page's list of those."""
+    plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")
     tree = "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"
     exported = ", ".join([*_EXPORTED.findall(text), tree])
     code = text.replace("export function", "function") + f"\nreturn {{ {exported} }};"
-    return f"{{ read: () => {{\n{code}\n}}, size: {num_bytes}, kind: {json.dumps(leaves)}, error: {error} }}"
+    return f"{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: {json.dumps(leaves)}, error: {error} }}"

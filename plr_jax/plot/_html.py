@@ -30,10 +30,10 @@ def part(name: str) -> str:
 def document(title: str, style: str, body: str, script: str) -> str:
     """A page of its parts; ``page.css`` comes before its style."""
     filled = {
-        "title": html.escape(title),
         "style": part("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
         "script": script,
+        "title": html.escape(title),  # last, as it may be in braces itself
     }
     page = part("page.html")
     for name, value in filled.items():
