@@ -6,17 +6,8 @@ from pathlib import Path
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.portable import crossings, straight_length, straight_line_of, winding
 from plr_jax.plr.file.container import Container, Header
-from plr_jax.plr.portable.code import indented
-from plr_jax.plr.portable.module import (
-    BESIDE,
-    FILE_READER,
-    NAMED_NUMBERS,
-    ROUNDED,
-    JavaScriptWriter,
-    ends_of,
-    function,
-    tables_axes,
-)
+from plr_jax.plr.portable.code import ends_of, indented
+from plr_jax.plr.portable.module import NAMED_NUMBERS, JavaScriptWriter, function, js_file_reader, tables_axes
 from plr_jax.plr.portable.text import Text
 
 _PAIRS_READER = Path(__file__).with_name("pairs.js")
@@ -39,9 +30,7 @@ def js_pairs_module(data: bytes, domain: Box) -> str:
 // bounds([x, y], [x, y]): proven bounds of the distance between points of free space, [lower, upper].
 // Answers are those of pairs.numpy(), bit for bit.
 
-{ROUNDED}
-{BESIDE}
-{FILE_READER.read_text(encoding="utf-8")}
+{js_file_reader()}
 {js_pairs_reader()}
 const file = Uint8Array.from(atob("{b64encode(data).decode()}"), letter => letter.charCodeAt(0));
 export const {{ distance, waypoint, bounds }} = pairsReader(readPairs(readContainer(file), file.length));

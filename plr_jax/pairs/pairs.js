@@ -231,5 +231,5 @@ function pairsReader(tables) {
     // Where to go straight to from a point towards another one; NaN where no way leads.
     function waypoint(x, y) { return (path(x, y) || [0, [NaN, NaN]])[1]; }
 
-    return { distance, waypoint, bounds, path, way, hides, legLength, leafOf, row, encloses };
+    return { distance, waypoint, bounds, path, hides, legLength, leafOf, row };
 }

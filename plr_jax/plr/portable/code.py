@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax.geometry.box import Box
 from plr_jax.plr.leaves.base import SourcedLeafModel
 from plr_jax.plr.portable.program import Program, distinct_rows
 from plr_jax.plr.portable.text import BracedWriter, Text
@@ -30,6 +31,11 @@ class Code(ABC, Generic[W]):
         self.rows, row_of_leaf = distinct_rows(numbers)
         self.tree = program.coded_tree(row_of_leaf)
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
+
+    @property
+    def has_tree(self) -> bool:
+        """Whether there is more than one leaf."""
+        return len(self.tree.children) > 0
 
     @abstractmethod
     def writer(self) -> W:
@@ -71,6 +77,14 @@ class Code(ABC, Generic[W]):
         x = program.placed(do, program.counted(do, x))
         above = program.above(do, x)
         return x, above, self.read_leaf(do, program.places(do, above))
+
+
+def ends_of(domain: Box) -> str:
+    """A domain as readers of code know it."""
+    return " x ".join(
+        f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
+        for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
+    )
 
 
 def indented(lines: Iterable[str]) -> list[str]:

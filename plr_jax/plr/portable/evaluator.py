@@ -105,9 +105,8 @@ def point_query(
 
 def _beyond(program: Program) -> list[tuple[float, float]]:
     """Along each axis the numbers below and above which coordinates are outside the domain, however they round."""
-    corner = np.zeros(program.dim) if program.corner is None else program.corner
-    beyond = []
-    for window, is_periodic, origin in zip(program.windows, program.domain.periodic, corner.tolist(), strict=True):
+    beyond, corner = [], program.origin.tolist()
+    for window, is_periodic, origin in zip(program.windows, program.domain.periodic, corner, strict=True):
         if is_periodic:
             beyond.append((-_LARGEST, _LARGEST))
         else:

@@ -29,10 +29,10 @@ class ByteReader {
         if (this.at + 8 > this.bytes.length) fail(EARLY);
         return new DataView(this.bytes.buffer, this.bytes.byteOffset + (this.at += 8) - 8, 8).getFloat64(0, true);
     }
-    text(length) {
+    checkText(length) {
         if (this.at + length > this.bytes.length) fail(EARLY);
         const part = this.bytes.subarray(this.at, this.at += length);
-        try { return new TextDecoder("utf-8", { fatal: true }).decode(part); } catch { return fail("its label is no text"); }
+        try { new TextDecoder("utf-8", { fatal: true }).decode(part); } catch { fail("its label is no text"); }
     }
 }
 
@@ -55,7 +55,7 @@ function readDomain(reader, isFloats) {
     return { lo, hi };
 }
 
-// What a file's bytes hold: the domain, the label, and layers, the last one the finest.
+// What a file's bytes hold: the domain, and layers, the last one the finest.
 function readContainer(bytes) {
     const start = [...bytes.subarray(0, 4)];
     const is = text => [...text].every((letter, i) => letter.charCodeAt(0) === start[i]);
@@ -70,11 +70,11 @@ function readContainer(bytes) {
     if (dim !== 2) fail(`it has ${dim} axes; this page shows the plane`);
     const domain = readDomain(reader, (second & 128) > 0);
     if (second & 32) fail("its points are folded, which this page does not show");
-    let label = "", sizes = [];
+    let sizes = [];
     if (second & 64) {
         const length = reader.varint();
         if (length > 1000) fail(`it states a label of ${length} bytes, more than 1000`);
-        label = reader.text(length);
+        reader.checkText(length);
         const count = reader.varint();
         if (count > 32) fail(`it states ${count} layers, more than 32`);
         sizes = Array.from({ length: count }, () => reader.varint());
@@ -93,7 +93,7 @@ function readContainer(bytes) {
         layers.push({ leaf: codes[0], proof: codes[1], end, body: bytes.subarray(at + (isLast ? 0 : 1), end - 4) });
         at = end;
     }
-    return { domain, label, layers };
+    return { domain, layers };
 }
 
 class BitReader {
@@ -307,5 +307,5 @@ function readCones({ domain }, layer) {
         sources.distance[source], sources.x[source] - corner[0], sources.y[source] - corner[1],
         proof ? proof.lower(leaf) : NaN, proof ? proof.upper(leaf) : NaN,
     ], 5 * leaf));
-    return { ...frame, origin, tree, root, numbers, leaves, sources, source: ranks, error: proof && proof.error };
+    return { ...frame, origin, tree, root, numbers, leaves, sources, error: proof && proof.error };
 }

@@ -1,12 +1,11 @@
 """A PLR as a header of C99: its numbers and the code that they need, by the arithmetic of the format."""
 
 import re
-from typing import Any
 
 import numpy as np
 
 from plr_jax._arrays import shortened
-from plr_jax.plr.portable.code import Code, filled_lines, indented
+from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import BracedWriter, Text
 
@@ -14,15 +13,16 @@ from plr_jax.plr.portable.text import BracedWriter, Text
 class CWriter(BracedWriter):
     """Of C99."""
 
+    root_of, cast = "sqrtf({})", "(float)({})"
+
     def __init__(self, name: str) -> None:
         """With a name with which those of its functions begin."""
         super().__init__()
         self.name = name
         self.floors: set[str] = set()
 
-    def literal(self, value: Any) -> str:
+    def literal(self, number: np.floating) -> str:
         """The shortest decimal that is read as the same number."""
-        number = value if isinstance(value, np.floating) else np.float32(value)
         if np.isinf(number):
             return "INFINITY" if number > 0 else "-INFINITY"
         return str(number) + ("f" if number.dtype == np.float32 else "")
@@ -35,14 +35,6 @@ class CWriter(BracedWriter):
         """By a function of the program, there is one for each type."""
         self.floors.add(x.type)
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
-
-    def root(self, x: Text) -> Text:
-        """The only function of the mathematical library."""
-        return self.atom(f"sqrtf({x})")
-
-    def rounded(self, x: Text) -> Text:
-        """A cast."""
-        return self.atom(f"(float)({x})")
 
     def fraction(self, x: Text) -> Text:
         """The bits at the upper end of a word, from where they are taken."""
@@ -75,40 +67,26 @@ class CHeader(Code[CWriter]):
         return "\n".join([*self.introduction(), *self.tables(), *self.functions(), *self.end()])
 
     @property
-    def has_tree(self) -> bool:
-        """Whether there is more than one leaf."""
-        return len(self.tree.children) > 0
-
-    @property
     def root(self) -> str:
         """The code of the tree's root."""
         return f"{self.tree.root}u"
 
     @property
-    def code_type(self) -> str:
-        """Of the codes in the tree."""
-        return "uint16_t" if max(self.tree.root, self.tree.children.max(initial=0)) < 2**16 else "uint32_t"
-
-    @property
     def table_bytes(self) -> int:
         """Of the program's constants: several times the file, whose integers have few bits."""
-        return 4 * self.rows.size + (2 if self.code_type == "uint16_t" else 4) * self.tree.children.size
+        return 4 * self.rows.size + self.tree.code_type.itemsize * self.tree.children.size
 
     def introduction(self) -> list[str]:
         """What the header is, and what it includes."""
         program, name = self.program, self.name
-        domain, guard = program.domain, f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
-        ends = [
-            f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
-            for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
-        ]
+        guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
         waypoint = f"   {name}_waypoint: where to go straight to from a point; NaN outside the domain.\n"
         return [
             f"#ifndef {guard}",
             f"#define {guard}",
             f"/* The distance to a goal, by plr_jax: {self.leaves()} of kind {program.leaf.name!r}.",
             "",
-            f"   {name}_distance: distance from a point {' x '.join(ends)};",
+            f"   {name}_distance: distance from a point {ends_of(program.domain)};",
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
             *(waypoint.splitlines() if self.is_sourced else []),
             f"   Coordinates are {self.type}: {_WHY[self.type]}.",
@@ -142,11 +120,11 @@ class CHeader(Code[CWriter]):
         """The tree, and the numbers of the leaves."""
         name, tree, count = self.name, self.tree, self.rows.shape[1]
         lines = []
-        if len(tree.children):
+        if self.has_tree:
             lines += [
                 "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
                 f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}. */",
-                f"static const {self.code_type} {name}_tree[{len(tree.children)}][2] = {{",
+                f"static const {tree.code_type}_t {name}_tree[{len(tree.children)}][2] = {{",
                 *filled_lines(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
                 "};",
                 "",
@@ -237,14 +215,14 @@ class CHeader(Code[CWriter]):
         return [f"static inline {signature}", "{", *indented(do.used_statements()), "}", ""]
 
     def _floors(self) -> list[str]:
-        """The floor of each type that is needed: beyond the bits of a mantissa every number is whole."""
+        """The floor of each type that is needed: NaN, and whole numbers beyond the bits of a mantissa, stay."""
         lines = []
         for of_type, whole, digits, one in _FLOORS:
             if of_type in self.helpers:
                 lines += [
                     f"static inline {of_type} {self.name}_floor_of_{of_type}({of_type} v)",
                     "{",
-                    f"    if (v >= {digits} || v <= -{digits}) {{",
+                    f"    if (!(v < {digits} && v > -{digits})) {{",
                     "        return v;",
                     "    }",
                     f"    const {of_type} toward_zero = ({of_type})({whole})v;",

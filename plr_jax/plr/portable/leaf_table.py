@@ -45,9 +45,8 @@ class LeafTable:
             moves = is_split & (below >= 0)
             moving, node, below = moving[moves], node[moves], below[moves]
             code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
-        largest = max(tree.root, tree.children.max(initial=0))
-        code_type = np.uint16 if largest < 2**16 else np.uint32
-        return LeafTable(tree, tuple(bits.tolist()), code.astype(code_type), tree.children.astype(code_type).ravel())
+        table, children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
+        return LeafTable(tree, tuple(bits.tolist()), table, children)
 
     @property
     def _kind(self) -> int:

@@ -13,8 +13,8 @@ from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.portable.arithmetic import PartitionedAxis, Value, Window
-from plr_jax.plr.portable.code import Code, filled_lines, indented
+from plr_jax.plr.portable.arithmetic import Operations, PartitionedAxis, Point, Value, Window
+from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import BracedWriter, Text
 
@@ -22,14 +22,15 @@ from plr_jax.plr.portable.text import BracedWriter, Text
 class JavaScriptWriter(BracedWriter):
     """Of JavaScript, whose numbers have 64 bits: ``f`` rounds each operation to 32."""
 
+    root_of, cast = "f(Math.sqrt({}))", "f({})"
+
     def rounded_to_type(self, value: Text) -> Text:
         """In 32 bits, where it is of such a type."""
         return self.rounded(value) if value.type == "float" else value
 
-    def literal(self, value: Any) -> str:
+    def literal(self, number: np.floating) -> str:
         """The shortest decimal of the number in 64 bits."""
-        number = float(value if isinstance(value, np.floating) else np.float32(value))
-        return _decimal(number)
+        return _decimal(float(number))
 
     def definition(self, name: str, value: Text) -> str:
         """A constant."""
@@ -39,14 +40,6 @@ class JavaScriptWriter(BracedWriter):
         """Exact in both precisions."""
         return self.atom(f"Math.floor({x})", x.type)
 
-    def root(self, x: Text) -> Text:
-        """Of a 32-bit float, the rounded root of 64 bits is that of 32."""
-        return self.atom(f"f(Math.sqrt({x}))")
-
-    def rounded(self, x: Text) -> Text:
-        """In 32 bits."""
-        return self.atom(f"f({x})")
-
     def fraction(self, x: Text) -> Text:
         """The bits at the upper end of a word, from where they are taken."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
@@ -54,8 +47,6 @@ class JavaScriptWriter(BracedWriter):
 
 _TABLE_BITS = 14  # of a table that fits a core's first-level cache, or nearly so
 _FRAME = ("lo", "hi", "scale", "start", "top")
-FILE_READER = Path(__file__).with_name("file.js")
-"""Functions that read files, for programs of JavaScript."""
 NAMED_NUMBERS = "const " + ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in _FRAME) + ";"
 """The statement of JavaScript that names the numbers of a domain that ``frameOf`` of ``file.js`` gives."""
 
@@ -78,25 +69,32 @@ class _OfTables(Program):
         do = JavaScriptWriter()
         return [Window(do.atom(f"lo{axis}"), do.atom(f"hi{axis}")) for axis in range(2)]
 
+    def _counted(self, do: Operations, x: Point, axis: int) -> Value:
+        return do.let("counted", do.rounded(x[axis] - _origin(axis)))
+
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
-        do = JavaScriptWriter()
-        from_corner = zip(tables_axes(do), as_sourced(self.leaf).source_of(numbers), strict=True)
-        return [
-            do.atom(f"origin{axis}", "double") + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)
-        ]
+        from_corner = zip(self.axes, as_sourced(self.leaf).source_of(numbers), strict=True)
+        return [_origin(axis) + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)]
+
+
+def _origin(axis: int) -> Text:
+    return JavaScriptWriter().atom(f"origin{axis}", "double")
+
+
+def js_file_reader() -> str:
+    """Functions of JavaScript that read files, with those that they need."""
+    return "\n".join([ROUNDED, BESIDE, Path(__file__).with_name("file.js").read_text(encoding="utf-8")])
 
 
 def js_cone_reader() -> str:
     """A function of JavaScript that makes a reader of what ``readCones`` of ``file.js`` gives."""
-    do, leaf = JavaScriptWriter(), leaf_model("cone")
-    cells = Cells.root(2)
-    contents = Contents(Box((0, 0), (1, 1)), leaf, levels_of(cells)[0], cells, None)
-    origin: Any = [do.atom(f"origin{axis}", "double") for axis in range(2)]
-    program = _OfTables(contents, contents.domain, origin, contents.domain, np.zeros((1, 3), np.float32))
+    halves = Cells.root(2).split(np.zeros(1, int))  # any, of more than one leaf
+    contents = Contents(Box((0, 0), (1, 1)), leaf_model("cone"), levels_of(halves)[0], halves, None)
+    program = _OfTables(contents, contents.domain, np.zeros(2), contents.domain, np.zeros((2, 3), np.float32))
     lines = [
         NAMED_NUMBERS,
         "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1)), has_tree=True).functions()),
+        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1))).functions()),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(function("function coneReader(tables)", lines))
@@ -116,17 +114,15 @@ class _Module(Code[JavaScriptWriter]):
         program: What a query computes.
         band: What is to be added to values for lower and upper bounds, of each leaf or of all; None if nothing is
             proven.
-        has_tree: Whether there is a tree; None if that of the program says it.
     """
 
-    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None, has_tree: bool | None = None) -> None:
+    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None) -> None:
         columns = program.numbers_of_leaves
         if band is not None:
             both = np.broadcast_to(band.T.astype(np.float32), (len(columns), 2))
             columns = np.column_stack([columns, both])
         super().__init__(program, "double", columns)
         self.is_proven = band is not None
-        self.has_tree = len(self.tree.children) > 0 if has_tree is None else has_tree
 
     def writer(self) -> JavaScriptWriter:
         """Of a function."""
@@ -155,11 +151,10 @@ class _Module(Code[JavaScriptWriter]):
         tree, dim = self.tree, self.program.dim
         lines = [ROUNDED, *([BESIDE] if self.is_proven else [])]
         if self.has_tree:
-            largest = max(tree.root, int(tree.children.max()))
             lines += [
                 "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
                 f"// here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}.",
-                f"const tree = new Uint{16 if largest < 2**16 else 32}Array([",
+                f"const tree = new Uint{8 * tree.code_type.itemsize}Array([",
                 *filled_lines(map(str, tree.children.ravel().tolist())),
                 "]);",
                 f"const root = {tree.root};",
@@ -268,14 +263,6 @@ function beside(x, isAbove) {
     whole[0] += x > 0 === isAbove ? 1 : -1;
     return bits[0];
 }"""
-
-
-def ends_of(domain: Box) -> str:
-    """A domain as readers of code know it."""
-    return " x ".join(
-        f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
-        for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
-    )
 
 
 def single(number: np.float32) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,6 +23,7 @@ from plr_jax.plr.portable.arithmetic import (
     length,
 )
 from plr_jax.plr.query.frame import (
+    Corner,
     Frame,
     corner_if_far,
     folding_numbers,
@@ -43,15 +43,14 @@ class Program:
     Attributes:
         contents: What the file holds.
         domain: The domain of the points; that of ``contents`` is of folded ones.
-        corner: That of a far domain, from which points are counted in 64 bits; else None. Of a program for any file,
-            what its coordinates are called.
+        corner: That of a far domain, from which points are counted in 64 bits; else None.
         of_leaves: The domain that the leaves partition, as points come to it: counted, or folded.
         numbers: What the leaves compute with, in the order of the tree's traversal.
     """
 
     contents: Contents
     domain: Box
-    corner: Any
+    corner: Corner | None
     of_leaves: Box
     numbers: Float[np.ndarray, "leaves count"]
 
@@ -85,7 +84,8 @@ class Program:
         return np.float32 if self.corner is None else np.float64
 
     @property
-    def _origin(self) -> Any:
+    def origin(self) -> Corner:
+        """From where points are counted: the corner, or 0."""
         return np.zeros(self.dim) if self.corner is None else self.corner
 
     @cached_property
@@ -101,7 +101,7 @@ class Program:
     @cached_property
     def windows(self) -> list[Window]:
         """Where counted points have an answer, axis by axis; along periodic axes, before they are counted."""
-        corners = np.stack(table_corners(self.domain.moved(-self._origin)))
+        corners = np.stack(table_corners(self.domain.moved(-self.origin)))
         windows = [Window(*corners[:, axis]) for axis in range(self.dim)]
         for axis in np.flatnonzero(self.domain.periodic):
             largest = self.precision(_LARGEST_OF[self.precision])
@@ -132,7 +132,7 @@ class Program:
         folding = self.contents.folding
         if folding is None:
             return None
-        (center, rest), (lo, hi) = folding_numbers(folding, self._origin)
+        (center, rest), (lo, hi) = folding_numbers(folding, self.origin)
         axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
         return Fold(list(center), list(rest), axes, mirrored_axes(folding), list(lo), list(hi))
 
@@ -262,3 +262,8 @@ class CodedTree:
     def kind_bits(self) -> int:
         """Bits of a kind."""
         return self.dim.bit_length()
+
+    @property
+    def code_type(self) -> np.dtype:
+        """The smallest that holds all codes, of 16 or 32 bits."""
+        return np.dtype(np.uint16 if max(self.root, self.children.max(initial=0)) < 2**16 else np.uint32)

@@ -91,9 +91,19 @@ class Text:
 
 
 class Writer(ABC):
-    """Operations that write statements, one a name."""
+    """Operations that write statements, one a name.
+
+    Attributes:
+        conjunction: How both of two conditions are asked for.
+        conditional: An expression of a condition and two values.
+        root_of: The root of a 32-bit float, in 32 bits: that of 64 bits, rounded, is the same.
+        cast: A value in 32 bits.
+    """
 
     conjunction: str
+    conditional: str
+    root_of: str
+    cast: str
 
     def __init__(self) -> None:
         self.statements: list[str] = []
@@ -107,8 +117,9 @@ class Writer(ABC):
         """A number as it stands in the program; a text as it is."""
         if isinstance(value, Text):
             return value
-        of_type = "double" if isinstance(value, np.float64) else "float"
-        return Text(self.literal(value), _ATOM if value >= 0 else _PRODUCT, of_type, self)
+        number = value if isinstance(value, np.floating) else np.float32(value)
+        of_type = "double" if isinstance(number, np.float64) else "float"
+        return Text(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
 
     def let(self, name: str, value: Any) -> Text:
         """A new name, numbered, for an expression; a name stays what it is."""
@@ -123,27 +134,48 @@ class Writer(ABC):
         """What an operation gives, in the precision of its type: in most languages as it is."""
         return value
 
+    def where(self, condition: Text, yes: Any, no: Any) -> Text:
+        """One of two values."""
+        yes, no = self.constant(yes), self.constant(no)
+        return self.atom(self.conditional.format(condition, yes, no), no.type)
+
+    def root(self, x: Text) -> Text:
+        """The square root of a 32-bit number."""
+        return self.atom(self.root_of.format(x))
+
+    def rounded(self, x: Text) -> Text:
+        """The value in 32 bits."""
+        return self.atom(self.cast.format(x))
+
     @abstractmethod
-    def literal(self, value: Any) -> str:
+    def literal(self, number: np.floating) -> str:
         """A number."""
 
     @abstractmethod
     def definition(self, name: str, value: Text) -> str:
         """The statement that gives a value its name."""
 
+    @abstractmethod
+    def floor(self, x: Text) -> Text:
+        """The largest integer that is not above, in the same type."""
+
+    @abstractmethod
+    def fraction(self, x: Text) -> Text:
+        """The 23 bits behind the point: in Python as they are, elsewhere at the upper end of a word."""
+
 
 class PythonWriter(Writer):
     """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
 
-    conjunction = "and"
+    conjunction, conditional = "and", "({1} if {0} else {2})"
+    root_of, cast = "float32(sqrt({}))", "float32({})"
 
     def __init__(self) -> None:
         super().__init__()
         self.constants: dict[str, Any] = {}
 
-    def literal(self, value: Any) -> str:
+    def literal(self, number: np.floating) -> str:
         """The name of a constant."""
-        number = value if isinstance(value, np.floating) else np.float32(value)
         name = f"k{len(self.constants)}"
         self.constants[name] = number
         return name
@@ -152,22 +184,9 @@ class PythonWriter(Writer):
         """An assignment."""
         return f"{name} = {value}"
 
-    def where(self, condition: Text, yes: Any, no: Any) -> Text:
-        """A conditional expression."""
-        yes, no = self.constant(yes), self.constant(no)
-        return self.atom(f"({yes} if {condition} else {no})", no.type)
-
     def floor(self, x: Text) -> Text:
         """The floor as a scalar of the same type."""
         return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
-
-    def root(self, x: Text) -> Text:
-        """Of a 32-bit float, the rounded root of 64 bits is that of 32."""
-        return self.atom(f"float32(sqrt({x}))")
-
-    def rounded(self, x: Text) -> Text:
-        """In 32 bits."""
-        return self.atom(f"float32({x})")
 
     def fraction(self, x: Text) -> Text:
         """The product is exact."""
@@ -177,28 +196,7 @@ class PythonWriter(Writer):
 class BracedWriter(Writer):
     """Of C and JavaScript, as far as these are spelled alike."""
 
-    conjunction = "&&"
-
-    @abstractmethod
-    def floor(self, x: Text) -> Text:
-        """The largest integer that is not above."""
-
-    @abstractmethod
-    def root(self, x: Text) -> Text:
-        """The square root of a 32-bit number."""
-
-    @abstractmethod
-    def rounded(self, x: Text) -> Text:
-        """The value in 32 bits."""
-
-    @abstractmethod
-    def fraction(self, x: Text) -> Text:
-        """The 23 bits behind the point, at the upper end of a word."""
-
-    def where(self, condition: Text, yes: Any, no: Any) -> Text:
-        """A conditional expression."""
-        yes, no = self.constant(yes), self.constant(no)
-        return self.atom(f"({condition} ? {yes} : {no})", no.type)
+    conjunction, conditional = "&&", "({} ? {} : {})"
 
     def used_statements(self) -> list[str]:
         """All statements but constants that no later one reads."""

@@ -86,3 +86,17 @@ def test_names_are_identifiers(name):
 def test_texts_keep_the_order_of_operations(build, text):
     do = CWriter("a")
     assert str(build(*(do.atom(name) for name in "xyz"))) == text
+
+
+@pytest.mark.parametrize("name", ["far around", "far car", "around"])
+def test_no_conversion_is_undefined(name, compiler, tmp_path):
+    """Of numbers that are none and infinite ones, too: what no integer holds is not converted to one."""
+    plr = case(name)
+    rows = ", ".join("{" + ", ".join([value] * plr.dim) + "}" for value in ("NAN", "INFINITY", "-INFINITY", "1e30f"))
+    real = "double" if is_far(plr) else "float"
+    main = f"int main(void) {{ static const {real} x[4][{plr.dim}] = {{{rows}}}; int i, finite = 0;"
+    main += " for (i = 0; i < 4; ++i) finite += here_distance(x[i]) < INFINITY; return finite; }"
+    (tmp_path / "a.c").write_text(plr.c_header("here") + main)
+    traps = ["-fsanitize=float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
+    subprocess.run([compiler, "-std=c99", *traps, "a.c", "-o", "a", "-lm"], cwd=tmp_path, check=True)
+    subprocess.run(["./a"], cwd=tmp_path, check=True)

@@ -10,7 +10,7 @@ from vectors import read_vector, vector_names
 
 from experiments._js_modules import NodeModule
 from plr_jax import VisibilityGraph, construct, from_bytes, load, progressive, scenes
-from plr_jax.plr.portable.module import BESIDE, FILE_READER, ROUNDED, JavaScriptWriter, js_cone_reader, single
+from plr_jax.plr.portable.module import JavaScriptWriter, js_cone_reader, js_file_reader, single
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -49,7 +49,7 @@ def test_vectors_are_answered_bit_for_bit(name, tmp_path):
 def test_files_of_cones_are_read_and_answered(name, tmp_path):
     """By a program that is of no file, from the bytes of one."""
     plr = _of_prefixes() if name == "file of prefixes" else case(name)
-    text = "\n".join([ROUNDED, BESIDE, FILE_READER.read_text(), js_cone_reader()])
+    text = "\n".join([js_file_reader(), js_cone_reader()])
     for layer, held in enumerate([*(from_bytes(plr.to_bytes()[:mark]) for mark in plr.file_marks), plr]):
         file = f"Uint8Array.from({list(plr.to_bytes())})"
         opened = f"(file => coneReader(readCones(file, file.layers[{layer}])))(readContainer({file}))"
