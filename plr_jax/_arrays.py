@@ -250,6 +250,12 @@ def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
 
 
+def require_function(name: str, value: object) -> None:
+    """``ValueError`` unless it can be called."""
+    if not callable(value):
+        raise ValueError(f"{name} must be a function, got {shortened(value)}.")
+
+
 def shortened(value: object) -> str:
     """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
     try:

@@ -19,7 +19,7 @@ from plr_jax import (
     scenes,
     zero,
 )
-from plr_jax.planners import sba_star_plan
+from plr_jax.planners import lifelong, replan, sba_star_plan
 from plr_jax.plr import PLR, NumpyPLR, quantile, refine
 from plr_jax.plr.refinement.objective import Quantile
 
@@ -27,6 +27,7 @@ ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))
 VOXELS = np.ones((2, 2, 2), bool)
 ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
+TASK = Problem(ROOM, [PointRobot()], *ENDS)
 
 
 def cone(x):
@@ -86,6 +87,14 @@ def refined(**options):
         (lambda: Workspace(VOXELS), r"an array of shape \(2, 2, 2\). What serves volumes"),
         (lambda: VisibilityGraph(VOXELS[0], (1, 1)), r"Of pixels a map is Workspace.from_mask\(free\)"),
         (lambda: Roadmap.from_workspace(VOXELS[0], (1, 1), 5), r"Of pixels a map is Workspace.from_mask\(free\)"),
+        (lambda: replan(5, None, 0), "problem must be a Problem, such as .*, got 5"),
+        (lambda: replan(TASK, None, 0), "solution must be a Solution that has a path, got None"),
+        (lambda: replan(TASK, None, 0, 5), r"options must be BLOptions\(...\), got 5"),
+        (lambda: replan(TASK, None, 0, standing=5), "standing must be indices of the 1 robots, as a list, got 5"),
+        (lambda: replan(TASK, None, 0, standing=[[0]]), r"standing must be an integer >= 0, got \[0\]"),
+        (lambda: lifelong(5, cone, 1), "problem must be a Problem, such as .*, got 5"),
+        (lambda: lifelong(TASK, 5, 1), "next_goal must be a function, got 5"),
+        (lambda: lifelong(TASK, cone, 1, plan=5), "plan must be a function, got 5"),
         (lambda: UNIT.grid("x"), "resolution must be an integer >= 1, got 'x'"),
     ],
 )

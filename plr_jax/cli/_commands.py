@@ -15,7 +15,7 @@ import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command, printable, saying, warn
+from plr_jax.cli._app import command, printable, saying
 from plr_jax.cli._build import build_file, prepared_oracle
 from plr_jax.cli._facts import facts_of, lines_of
 from plr_jax.cli._held import file_holds_pairs, goal_of_pairs, loaded
@@ -39,11 +39,9 @@ from plr_jax.cli._rows import PointTable, open_table, print_answers, require_sta
 from plr_jax.cli._volumes import VOLUME_LEAVES, NamedVolume, build_volume, is_volume
 
 if TYPE_CHECKING:
-    from plr_jax.geometry.box import Box
     from plr_jax.pairs import GridPairs, PairPLR
 
 _ERROR_POINTS = 20_000
-_SAME = 1e-6  # in shares of their width boxes that are called the same may differ
 
 
 @command(
@@ -326,12 +324,11 @@ def plot(
     ] = Picture.distance,
 ) -> None:
     """Draw a file: of pairs, the distance to the goal."""
-    from plr_jax._io import load
     from plr_jax.plr import PLR
 
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES, inputs=(file, map))
-    held = load(file)
+    held = loaded(file)
     is_of_pairs = not isinstance(held, PLR)
     plr = goal_of_pairs(held, file, goal) if is_of_pairs else held
     if plr.domain.dim != 2:
@@ -347,16 +344,10 @@ def plot(
         "polygons": polygons,
         "radius": radius,
     }
-    is_needed, label = kind is Picture.error, getattr(held, "label", "")
-    of_map = None if is_of_pairs else goal
-    workspace, goal_point = read_map_of_file(file, label, map, goal=of_map, is_needed=is_needed, **reading)
+    is_needed, of_map = kind is Picture.error, None if is_of_pairs else goal
+    workspace, goal_point = read_map_of_file(file, held, map, goal=of_map, is_needed=is_needed, **reading)
     if is_of_pairs:
         goal_point = parse_goal(str(goal))
-    if workspace is not None and not _same_box(workspace.bounds, plr.domain):
-        warn(
-            f"the map is {workspace.bounds}, but {file} covers {plr.domain}: it may be of another map, or of this "
-            "one read with other options, such as --resolution."
-        )
     from plr_jax import metrics
     from plr_jax import plot as draw
 
@@ -376,12 +367,6 @@ def plot(
             ax = draw.plot_error(errors, workspace)
     draw.save(ax, output)
     typer.echo(f"wrote {output}")
-
-
-def _same_box(one: "Box", other: "Box") -> bool:
-    return one.dim == other.dim and all(
-        np.allclose(a, b, rtol=0, atol=_SAME * one.width.max()) for a, b in ((one.lo, other.lo), (one.hi, other.hi))
-    )
 
 
 @command("plr-jax demo --output pictures")

@@ -128,8 +128,8 @@ def view(
     held, workspace = loaded(file), None
     if map is not None or not file_holds_pairs(file):
         reading = {"threshold": threshold, "drop_specks": drop_specks, "polygons": polygons, "radius": radius}
-        told = file, getattr(held, "label", ""), map
-        workspace, _ = read_map_of_file(*told, goal=None, is_needed=False, resolution=resolution, **reading)
+        reading["resolution"] = resolution
+        workspace, _ = read_map_of_file(file, held, map, goal=None, is_needed=False, **reading)
     written = page(held, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

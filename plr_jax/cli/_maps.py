@@ -14,6 +14,7 @@ from plr_jax.cli._inputs import SCENES, parse_goal
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
+    from plr_jax.geometry.box import Box
     from plr_jax.geometry.workspace import Workspace
 
 _KINDS: dict[str, type] = {
@@ -24,6 +25,8 @@ _KINDS: dict[str, type] = {
 }  # of options; others are texts
 _SPECK = 1e-5
 """Share of the map's area up to which an obstacle is called a speck."""
+_SAME = 1e-6
+"""In shares of their width boxes that are called the same may differ."""
 
 
 @dataclass(frozen=True)
@@ -190,19 +193,19 @@ def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> Nam
 
 
 def read_map_of_file(
-    file: Path, label: str, name: str | None, *, goal: str | None, is_needed: bool, **reading: Any
+    file: Path, held: Any, name: str | None, *, goal: str | None, is_needed: bool, **reading: Any
 ) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
     """The workspace and the goal of :func:`map_of_file`, None where they are not said.
 
     A map that the label alone names may not be on this machine: it is left out, with a warning; ``ValueError`` if it
-    ``is_needed``, or the user says how to read it.
+    ``is_needed``, or the user says how to read it. One of other bounds than what the file holds is warned of.
     """
-    named = map_of_file(file, label, name, goal=goal, **reading)
+    named = map_of_file(file, getattr(held, "label", ""), name, goal=goal, **reading)
     if named is None:
         return None, None
     given = named.given_goal()
     try:
-        return named.read()
+        workspace, goal_point = named.read()
     except (OSError, ValueError) as error:
         if name is not None:
             raise
@@ -210,8 +213,20 @@ def read_map_of_file(
         missing = f"the map that {file} was built of cannot be read ({reason}): name it with --map"
         if is_needed or any(value is not None for value in reading.values()):
             raise ValueError(f"{missing}.") from error
-    warn(f"{missing}; drawn without its obstacles.")
-    return None, given
+        warn(f"{missing}; drawn without its obstacles.")
+        return None, given
+    if not _same_box(workspace.bounds, held.domain):
+        warn(
+            f"the map is {workspace.bounds}, but {file} covers {held.domain}: it may be of another map, or of this "
+            "one read with other options, such as --resolution."
+        )
+    return workspace, goal_point
+
+
+def _same_box(one: "Box", other: "Box") -> bool:
+    return one.dim == other.dim and all(
+        np.allclose(a, b, rtol=0, atol=_SAME * one.width.max()) for a, b in ((one.lo, other.lo), (one.hi, other.hi))
+    )
 
 
 def option_of(key: str) -> str:

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_numbers, require_integer
+from plr_jax._arrays import as_numbers, require_function, require_integer
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._options import BLOptions
+from plr_jax.planners._options import BLOptions, require_task
 from plr_jax.planners._solution import Solution, Status
 from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.timetable import (
@@ -106,7 +106,11 @@ def lifelong(
         Li et al., "Lifelong multi-agent path finding in large-scale warehouses", 2021. Silver, "Cooperative
         pathfinding", 2005.
     """
+    require_task(problem, options)
     require_integer("num_goals", num_goals, 1)
+    require_function("next_goal", next_goal)
+    if plan is not None:
+        require_function("plan", plan)
     team = _Team(problem, options, plan)
     with tqdm(total=num_goals, desc="lifelong", unit=" goals", delay=3, leave=False, disable=None) as progress:
         try:

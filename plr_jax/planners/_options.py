@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_number
+from plr_jax._arrays import as_number, shortened
 from plr_jax._problem import Problem, path_cost
 from plr_jax.planners._solution import Status
 
@@ -111,6 +111,15 @@ class BLOptions:
             raise ValueError(f"{message}, got {self.primitives!r}.")
         if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
             raise ValueError(f"{message}, none of them (0, 0, 0), got {self.primitives!r}.")
+
+
+def require_task(problem: Problem, options: BLOptions) -> None:
+    """``ValueError`` unless these are a problem and options."""
+    if not isinstance(problem, Problem):
+        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
+        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    if not isinstance(options, BLOptions):
+        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
 
 
 # The best path so far, and where the seconds went.

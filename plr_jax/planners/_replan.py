@@ -2,13 +2,13 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from plr_jax._arrays import as_number, require_integer
+from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._problem import Problem, motion_costs
-from plr_jax.planners._options import BLOptions
+from plr_jax.planners._options import BLOptions, require_task
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.timetable import (
@@ -65,6 +65,7 @@ def replan(
     References:
         Silver, "Cooperative pathfinding", 2005.
     """
+    require_task(problem, options)
     began = time.perf_counter()
     fixed = _require_standing(problem, standing)
     step = options.step or first_step(problem, len(options.primitives))
@@ -127,7 +128,7 @@ def _in_the_way(timetable: Timetable, i: int, motion: Motion, fixed: set[int]) -
 def _rest(problem: Problem, solution: Solution, at: float | int) -> JointPath:
     """What is left of a solution's path at a time."""
     if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
-        raise ValueError(f"solution must be a Solution that has a path, got {solution!r}.")
+        raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
     if solution.path.shape[1:] != problem.starts.shape:
         expected = f"the problem's robots, of shape {problem.starts.shape}"
         raise ValueError(f"solution must be one for {expected}, got a path for {solution.path.shape[1:]}.")
@@ -142,12 +143,15 @@ def _rest(problem: Problem, solution: Solution, at: float | int) -> JointPath:
 
 def _require_standing(problem: Problem, standing: Sequence[int]) -> set[int]:
     """The robots that stand, of the team, whose goals are where they start."""
-    fixed = set(standing)
+    expected = f"standing must be indices of the {len(problem.robots)} robots"
+    if not isinstance(standing, Iterable):
+        raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
+    fixed = [*standing]
     for i in fixed:
         require_integer("standing", i, 0)
         if i >= len(problem.robots):
-            raise ValueError(f"standing must be indices of the {len(problem.robots)} robots, got {i}.")
+            raise ValueError(f"{expected}, got {i}.")
         if (problem.starts[i] != problem.goals[i]).any():
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
             raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
-    return fixed
+    return {*fixed}

@@ -15,7 +15,7 @@ from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._heuristics import estimates, require_heuristic
-from plr_jax.planners._options import BLOptions, Incumbent, SearchBudget
+from plr_jax.planners._options import BLOptions, Incumbent, SearchBudget, require_task
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
@@ -98,15 +98,11 @@ def bl_plan(
         of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
         "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
-    if not isinstance(problem, Problem):
-        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
-        raise ValueError(f"{expected}, got {shortened(problem)}.")
     if isinstance(heuristic, BLOptions):
         raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:
         require_heuristic(heuristic)
-    if not isinstance(options, BLOptions):
-        raise ValueError(f"options must be BLOptions(...), got {options!r}.")
+    require_task(problem, options)
     began = time.perf_counter()
     with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
         run = _Run(problem, heuristic, options, began, progress)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from plr_jax._arrays import as_bool, as_number, require_integer, shortened
+from plr_jax._arrays import as_bool, as_number, require_function, require_integer
 from plr_jax._types import ArrayLike, CellwiseFn, ChangingFn, DistanceFn, FreeSpaceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._best import BEST, best_leaves
@@ -270,8 +270,7 @@ def construct(
     if weight_fn is not None:
         functions["weight_fn"] = weight_fn
     for name, function in functions.items():
-        if not callable(function):
-            raise ValueError(f"{name} must be a function, got {shortened(function)}.")
+        require_function(name, function)
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
     memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
     if executor is not None or checkpoint is not None:

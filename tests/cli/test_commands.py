@@ -134,6 +134,7 @@ def test_view_writes_a_page(maze, pairs, tmp_path):
     (points, grid), page = pairs, tmp_path / "a.html"
     assert "open it in a browser" in done("view", maze, "maze", "-o", page)
     assert page.read_text(encoding="utf-8") == plr_jax.plot.page(load(maze), scenes.maze().workspace).html
+    assert "covers Box([0.0, 0.0], [1.0, 1.0])" in run("view", maze, "floor_plan", "-o", page).stderr
     done("view", points, "-o", page)
     assert page.read_text(encoding="utf-8") == plr_jax.plot.page(load(points)).html
     assert "shows a PLR or pairs of points" in mistake("view", grid, "-o", page)
