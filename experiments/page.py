@@ -184,11 +184,11 @@ def picture(results: dict[str, Any], output: Path) -> list[Path]:
 
 def hostile(seed: int, smoke: bool) -> dict[str, Any]:
     sys.path.append(str(_TESTS))
-    hostile_files = import_module("hostile_files")
+    hostile_files, readers = import_module("hostile_files"), import_module("hostile_readers")
     pairs = _pairs(smoke=True)["maze"]
     valid = [_cones(400).to_bytes(), progressive([_cones(200), _cones(400)]).to_bytes(), pairs.to_bytes()]
     valid.append(construct(_waves, ((0, 0), (2, 2)), max_leaves=30).to_bytes())
-    reader = hostile_files.Reader(lambda path: None, ".plr", lambda: valid, hostile_files.READERS["PLR"].repaired)
+    reader = readers.Reader(lambda path: None, ".plr", lambda: valid, readers.READERS["PLR"].repaired)
     shown, said, seconds, failed = 0, set(), [], 0
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         plot.page(_cones(400), scenes.maze().workspace).save(path := Path(folder) / "page.html")

@@ -1,7 +1,8 @@
 """Damaged files of every kind are read or refused by name. In memory and time: by the experiment itself."""
 
 import pytest
-from hostile_files import MOST_GROWTH, READERS, Outcome, Reader, attempt, hostile, trial
+from hostile_files import MOST_GROWTH, Outcome, attempt, hostile, trial
+from hostile_readers import READERS, Reader
 
 from plr_jax.plr.file.container import Container, Header
 

@@ -6,7 +6,8 @@ from base64 import b64decode, b64encode
 
 import numpy as np
 import pytest
-from hostile_files import READERS, Reader, corridor, hostile
+from hostile_files import hostile
+from hostile_readers import READERS, Reader, corridor
 from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium

@@ -1,0 +1,315 @@
+"""Readers of files, and valid files of each: what :mod:`hostile_files` mutates."""
+
+import io
+import json
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
+
+import plr_jax
+from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.stored import Stored
+from plr_jax.plr.file.container import Header
+from plr_jax.plr.partition.cells import Cells, levels_of
+
+_GRID = """type octile
+height 8
+width 12
+map
+@@@@@@@@@@@@
+@....TT....@
+@.GG.TT.SS.@
+@....@@....@
+@..........@
+@.@@....W..@
+@.@@...WW..@
+@@@@@@@@@@@@
+"""
+_QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
+_DBCBS = """
+environment:
+  max: [6, 4.5]
+  min: [0, 0]
+  obstacles:
+  - {center: [3, 1], size: [1, 2], type: box}
+robots:
+- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
+- type: unicycle_first_order_0
+  start: [5, 3, 3.14]
+  goal: [1.0, 3e0, 0]
+"""
+_TRAJECTORIES = """
+result:
+- states:
+  - [0, 1, 2.5, 9]
+  - [3, 4, 5, 9]
+  actions:
+  - [1.0e-3, 2]
+- states: [[6, 7, 8, 9]]
+"""
+_CRC = struct.Struct("<I")
+_SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
+_POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
+
+
+_GEOJSON = {
+    "type": "FeatureCollection",
+    "bbox": [-1, -1, 9, 9],
+    "features": [
+        {
+            "type": "Feature",
+            "properties": None,
+            "geometry": {"type": "Polygon", "coordinates": [[*_SQUARE, _SQUARE[0]]]},
+        }
+    ],
+}
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader, and valid files to mutate.
+
+    Attributes:
+        read: Takes a path.
+        suffix: How the names of its files end.
+        valid: Makes the files' contents.
+        repaired: Takes a mutated file; gives one whose checksum is right, or the same if it is binary and has none.
+        needs: A library without which it cannot read.
+    """
+
+    read: Callable[[Path], Any]
+    suffix: str
+    valid: Callable[[], list[bytes]]
+    repaired: Callable[[bytes], bytes] | None = None
+    needs: str = "numpy"
+
+
+def _written(save: Callable[[Any, Path], None], values: Iterable[Any]) -> list[bytes]:
+    files = []
+    with tempfile.TemporaryDirectory() as folder:
+        for value in values:
+            save(value, Path(folder, "file.json"))
+            files += [Path(folder, "file.json").read_bytes()]
+    return files
+
+
+def _scene_files() -> list[bytes]:
+    rings = [_SQUARE, [[5, 5], [6, 5], [6, 6]]]
+    holed = Workspace.from_polygons([{"outer": [[-1, -1], [9, -1], [9, 9], [-1, 9]], "holes": rings}])
+    robots = [DiscRobot(0.25), RectangleRobot(0.7, 0.1), PointRobot()]
+    starts, goals = [(8, 8, 0), (7, 1, 1), (1, 8, 0)], [(8, 0, 0), (6, 2, 2), (5, 8, 0)]
+    team = Problem(holed, robots, starts, goals, rotation_weight=0.3)
+    return _written(scenes.save, (scenes.maze(), scenes.tangle(), team))
+
+
+def _solution_files() -> list[bytes]:
+    problem = scenes.single_door()
+    limits = (plr_jax.BLOptions(), plr_jax.BLOptions(max_expansions=1))
+    return _written(plr_jax.Solution.save, (plr_jax.bl_plan(problem, options=each) for each in limits))
+
+
+def _plr_files() -> list[bytes]:
+    def distance(x: Any) -> Any:
+        return np.where((x[:, 0] > 0.4) & (x[:, -1] < 0.3), np.inf, np.linalg.norm(x - 0.7, axis=1))
+
+    kinds = [
+        (2, {"leaf": "plane", "max_leaves": 20}),  # of floats
+        (3, {"leaf": "plane", "max_bytes": 300}),  # of integers
+        (2, {"leaf": "continuous", "max_leaves": 20}),
+        (1, {"leaf": "smooth", "max_leaves": 10}),
+    ]
+    plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
+    turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
+    plrs += [plr_jax.progressive([plrs[2], plrs[0]]).with_label("room"), construct(*turned, max_leaves=6)]
+    return [plr.to_bytes() for plr in plrs]
+
+
+@cache
+def _patched_plrs() -> tuple[plr_jax.PLR, list[bytes]]:
+    """Cones, and deltas of them: of another map's cones, and of planes, whose delta is the whole file."""
+    walls = [[(0.4, 0.1 * i), (0.5, 0.1 * i), (0.5, 0.1 * i + 0.6)] for i in range(2)]
+    box = Box((0, 0), (1, 1))
+    oracles = [plr_jax.VisibilityGraph(Workspace(box, [wall]), (0.1, 0.1)) for wall in walls]
+    old, new = (construct(oracle, box, leaf="cone", max_bytes=400, certified=True) for oracle in oracles)
+    return old, [other.delta(old) for other in (new, construct(oracles[0], box, max_leaves=10))]
+
+
+def _read_delta(path: Path) -> Any:
+    try:
+        return _patched_plrs()[0].patched(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _of_the_base(data: bytes) -> bytes:
+    """A delta that names the file that it is of, which a reader looks at first."""
+    return data[:3] + _patched_plrs()[1][0][3:7] + data[7:]
+
+
+def _pairs_files() -> list[bytes]:
+    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
+    data, many = pairs.to_bytes(), corridor(8192)
+    return [data, *(data[:mark] for mark in pairs.file_marks), *(many[:mark] for mark in Header.read(many).marks)]
+
+
+def corridor(count: int) -> bytes:
+    """Pairs of a corridor with so many corners in a byte or so each, whose tables take a gigabyte."""
+    x = np.arange(count // 2)
+    points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
+    outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
+    tree, corner, joined = levels_of(Cells.root(2))[0], np.arange(count), np.zeros((0, 2), np.int64)
+    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0, 0.0).to_bytes()
+
+
+def _picture_files() -> list[bytes]:
+    gray = np.full((12, 16), 255, np.uint8)
+    gray[3:5, 4:] = gray[8:, 6] = 0
+    modes = {"PNG": ("L", "RGBA"), "GIF": ("P",), "PPM": ("1", "L"), "BMP": ("RGB",), "TIFF": ("L",)}
+
+    def written(kind: str, mode: str) -> bytes:
+        buffer = io.BytesIO()
+        Image.fromarray(gray).convert(mode).save(buffer, format=kind)
+        return buffer.getvalue()
+
+    return [written(kind, mode) for kind in modes for mode in modes[kind]]
+
+
+def _read_mesh(path: Path) -> Any:
+    return scenes.read_volume(path, pitch=0.25)
+
+
+def _with_checksums(data: bytes) -> bytes:
+    """A picture, of whose chunks the checksums are right if it is a PNG."""
+    result, rest = data[:8], data[8:]
+    if result != b"\x89PNG\r\n\x1a\n":
+        return data
+    while len(rest) >= 12:
+        size = min(int.from_bytes(rest[:4], "big"), len(rest) - 12)
+        chunk, rest = rest[4 : 8 + size], rest[12 + size :]
+        result += struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return result
+
+
+def _with_checksum(data: bytes) -> bytes:
+    """A PLR file whose layers have checksums that are right, as far as its header says where they end."""
+    try:
+        header = Header.read(data)
+    except ValueError:
+        return data
+    start, crc = len(header.data), zlib.crc32(header.data)
+    for end in (*(mark for mark in header.marks if mark < len(data)), len(data)):
+        crc = zlib.crc32(data[start : max(start, end - _CRC.size)], crc)
+        if start + _CRC.size <= end:
+            data = data[: end - _CRC.size] + _CRC.pack(crc) + data[end:]
+        start = end
+    return data
+
+
+_MAP_SERVER = """
+image: room.pgm
+resolution: 0.05
+origin: [-1.5, 2.0, 0.25]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+_MODES = ("trinary", "scale", "raw")
+_PICTURE = b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 3 + b"\x90\0") * 4
+
+
+def _cost_map_of(mode: str) -> bytes:
+    return f"{_MAP_SERVER.replace('0.25', '0.0')}mode: {mode}\n".encode()
+
+
+def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    """A reader of the map, beside whose file there is its picture."""
+
+    def reader(path: Path) -> Any:
+        path.with_name("room.pgm").write_bytes(_PICTURE)
+        return read(path)
+
+    return reader
+
+
+def _read_cost_map_of_picture(path: Path) -> Any:
+    """What a map of one mode or another makes of a picture."""
+    mode = _MODES[path.stat().st_size % len(_MODES)]
+    file = path.with_name(f"{path.name}.yaml")
+    file.write_bytes(_cost_map_of(mode).replace(b"room.pgm", path.name.encode()))
+    try:
+        return scenes.read_cost_map(file)
+    finally:
+        file.unlink()
+
+
+class _Answers(BaseRequestHandler):
+    """Sends the file that is asked for as it is: it is an answer with its status and headers."""
+
+    def handle(self) -> None:
+        request = self.request.recv(1 << 16)
+        self.request.sendall(Path(request.split()[1].decode()).read_bytes())
+
+
+@cache
+def _server() -> str:
+    """The address of a server of such answers on this machine."""
+    server = ThreadingTCPServer(("127.0.0.1", 0), _Answers)
+    server.daemon_threads = True
+    Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://127.0.0.1:{server.server_address[1]}"
+
+
+def _read_answer(path: Path) -> Any:
+    return plr_jax.open_url(f"{_server()}{path}", timeout=2.0)
+
+
+def _answer_files() -> list[bytes]:
+    data = _plr_files()[4]
+    heads = [
+        f"200 OK\r\nContent-Length: {len(data)}\r\n",
+        f'206 Partial Content\r\nContent-Range: bytes 0-{len(data) - 1}/{len(data)}\r\nETag: "1"\r\n',
+        "200 OK\r\nContent-Type: application/octet-stream\r\n",
+    ]
+    answers = [f"HTTP/1.1 {head}Connection: close\r\n\r\n".encode() + data for head in heads]
+    chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
+    return [*answers, chunked + f"{len(data):x}\r\n".encode() + data + b"\r\n0\r\n\r\n"]
+
+
+READERS = {
+    "scene": Reader(scenes.load, ".json", _scene_files),
+    "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
+    "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
+    "db-CBS": Reader(scenes.read_dbcbs, ".yaml", lambda: [_DBCBS.encode()]),
+    "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
+    "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
+    "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
+    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
+    "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),
+    "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
+    "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
+    "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
+    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()], needs="trimesh"),
+    "PLY": Reader(_read_mesh, ".ply", ply_files, needs="trimesh"),
+    "STL": Reader(_read_mesh, ".stl", stl_files, needs="trimesh"),
+    "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
+    "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
+    "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
+    "delta": Reader(_read_delta, ".delta", lambda: _patched_plrs()[1], _of_the_base),
+    "HTTP": Reader(_read_answer, ".http", _answer_files),
+}
