@@ -46,7 +46,7 @@ def patch(
 
     require_writable(output, inputs=(delta,))
     with open(delta, "rb") as file:
-        data = file.read(MOST_BYTES)
+        data = file.read(MOST_BYTES + 1)
     try:
         made = load_numpy(old).patched(data).to_bytes()
     except ValueError as error:

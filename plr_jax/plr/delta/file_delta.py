@@ -84,6 +84,8 @@ def _patched(before: bytes, delta: bytes) -> bytes:
     reader = ByteReader(delta)
     if delta[: len(_MAGIC)] != _MAGIC:
         raise ValueError("it does not start like one")
+    if len(delta) > MOST_BYTES:
+        raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
     reader.take(len(_MAGIC))
     if (version := reader.byte()) not in (_VERSION, _VERSION | _WHOLE):
         raise ValueError(f"it has version {version & 15}, this release reads version {_VERSION}; update plr_jax")

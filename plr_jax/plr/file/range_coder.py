@@ -30,8 +30,21 @@ class Coder(ABC):
         self._counts: dict[Hashable, list[int]] = {}
 
     @abstractmethod
+    def _placed(self, value: int | None, below: int) -> int:
+        """A bit, which is 0 in the part of the range below a number; the range then begins where its part does."""
+
+    @abstractmethod
+    def _shift(self) -> None:
+        """Go on to the following byte."""
+
     def _coded(self, value: int | None, below: int) -> int:
-        """A bit, which is 0 in the part of the range below a number."""
+        """A bit, whose part of the range is all that is left of it."""
+        bit = self._placed(value, below)
+        self._range = self._range - below if bit else below
+        while self._range >> _TOP == 0:
+            self._shift()
+            self._range <<= 8
+        return bit
 
     def bit(self, context: Hashable, value: int | None, odds: Sequence[int] = (1, 1)) -> int:
         """A bit in a context, whose odds to be 0 and to be 1 are at first those given."""
@@ -84,16 +97,9 @@ class RangeEncoder(Coder):
         super().__init__()
         self._low, self._data = 0, bytearray()
 
-    def _coded(self, value: int | None, below: int) -> int:
+    def _placed(self, value: int | None, below: int) -> int:
         assert value is not None, "an encoder knows what it encodes"
-        if value:
-            self._low += below
-            self._range -= below
-        else:
-            self._range = below
-        while self._range >> _TOP == 0:
-            self._shift()
-            self._range <<= 8
+        self._low += below if value else 0
         return value
 
     def _shift(self) -> None:
@@ -128,16 +134,9 @@ class RangeDecoder(Coder):
         for _ in range(_WHOLE // 8):
             self._shift()
 
-    def _coded(self, value: int | None, below: int) -> int:
+    def _placed(self, value: int | None, below: int) -> int:
         bit = int(self._code >= below)
-        if bit:
-            self._code -= below
-            self._range -= below
-        else:
-            self._range = below
-        while self._range >> _TOP == 0:
-            self._shift()
-            self._range <<= 8
+        self._code -= below if bit else 0
         return bit
 
     def _shift(self) -> None:
