@@ -33,7 +33,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import runs
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.stored import Stored, distances_by_rows
+from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.portable.arithmetic import Operations, Point, Value, length
 from plr_jax.plr.portable.evaluator import ARRAYS, as_float_points
 from plr_jax.plr.portable.leaf_table import LeafTable
@@ -150,9 +150,7 @@ class NumpyPairs:
             )
             for back, points in ((1.0, seen), (-1.0, proud))
         )
-        self._distances = np.full((corners + 1, corners + 1), np.inf, np.float32)
-        for first, rows in distances_by_rows(stored.points, stored.edges):
-            self._distances[first : first + len(rows), :-1] = rows
+        self._distances = distances_table(stored, corners + 1)
         aside, farther = (
             2 * np.linalg.norm(points - stored.points, axis=1).max(initial=0.0) for points in (seen, proud)
         )

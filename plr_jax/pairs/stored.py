@@ -102,6 +102,14 @@ def distances_by_rows(
         yield begin, dijkstra(graph, directed=False, indices=rows)
 
 
+def distances_table(stored: "Stored", size: int) -> Float[np.ndarray, "size size"]:
+    """Shortest distances between all corners in 32 bits, and to none, ``inf``, in rows and columns up to a size."""
+    table = np.full((size, size), np.inf, np.float32)
+    for first, rows in distances_by_rows(stored.points, stored.edges):
+        table[first : first + len(rows), : len(stored.points)] = rows
+    return table
+
+
 def largest_difference(
     points: Float[np.ndarray, "n 2"],
     edges: Int[np.ndarray, "edges 2"],

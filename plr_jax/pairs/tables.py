@@ -12,7 +12,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.pairs.near_walls import NearWalls
 from plr_jax.pairs.occluders import occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, seen_corners, walls_with_sides
-from plr_jax.pairs.stored import Stored, distances_by_rows
+from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
 
@@ -88,7 +88,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     cells, count = stored.cells, len(stored.corner)
     partition = build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes)
     size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
-    distances = _distances_table(stored, size)
+    distances = jnp.asarray(distances_table(stored, size))
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
     corners = seen_corners(stored)
@@ -128,14 +128,6 @@ def _occluders(stored: Stored, receding: float) -> Float[np.ndarray, "occluders 
     except ValueError:  # details narrower than the lattice: their walls are all that is known
         return np.zeros((0, 7))
     return occluders_of(region, stored.domain, 4 * receding, len(stored.outline.points))
-
-
-def _distances_table(stored: Stored, size: int) -> Float[Array, "size size"]:
-    """Distances between corners, padded: the largest table by far, of which no copy stays."""
-    distances = np.full((size, size), np.inf, np.float32)
-    for first, rows in distances_by_rows(stored.points, stored.edges):
-        distances[first : first + len(rows), : len(stored.corner)] = rows
-    return jnp.asarray(distances)
 
 
 def _in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
