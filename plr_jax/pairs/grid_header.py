@@ -4,17 +4,16 @@ A query is that of ``grid_query.py`` in integers. All that depends on the grid b
 header as constants; tables stand one after the other in the file, each at a multiple of 64 bytes.
 """
 
-import re
 import zlib
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Shaped
 
-from plr_jax._arrays import shortened
 from plr_jax.pairs.grid_corners import FAR, CornerTable
 from plr_jax.pairs.grid_query import BLOCK, GROUP, GridTables
 from plr_jax.pairs.grid_sectors import open_length, units
+from plr_jax.plr.portable.code import require_identifier
 
 _ALIGNED = 64
 _MAGIC = b"plr_jax grid 1\n\0"
@@ -39,8 +38,7 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
     Raises:
         ValueError: If the name is no identifier of C.
     """
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError(f"The name must be an identifier of C, such as plr_game, got {shortened(name)}.")
+    require_identifier(name)
     arrays = {
         "free": tables.sight.free,
         "sums": tables.sight.sums,

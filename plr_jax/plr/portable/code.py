@@ -1,5 +1,6 @@
 """What the functions of a program consist of, in any language: which steps, in which order."""
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Generic, TypeVar
@@ -7,6 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.leaves.base import SourcedLeafModel
 from plr_jax.plr.portable.program import Program, distinct_rows
@@ -77,6 +79,12 @@ class Code(ABC, Generic[W]):
         x = program.placed(do, program.counted(do, x))
         above = program.above(do, x)
         return x, above, self.read_leaf(do, program.places(do, above))
+
+
+def require_identifier(name: object) -> None:
+    """``ValueError`` unless definitions of C may begin with it."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
 
 
 def ends_of(domain: Box) -> str:

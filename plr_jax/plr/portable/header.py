@@ -1,11 +1,8 @@
 """A PLR as a header of C99: its numbers and the code that they need, by the arithmetic of the format."""
 
-import re
-
 import numpy as np
 
-from plr_jax._arrays import shortened
-from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented
+from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented, require_identifier
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import BracedWriter, Text
 
@@ -52,8 +49,7 @@ class CHeader(Code[CWriter]):
     """The parts of a header of a PLR; ``ValueError`` if its name is no identifier of C."""
 
     def __init__(self, program: Program, name: str):
-        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
+        require_identifier(name)
         super().__init__(program, "float" if program.corner is None else "double", program.numbers_of_leaves)
         self.name = name
         self.helpers: set[str] = set()
