@@ -47,7 +47,7 @@ PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
     ["_options", "_sba_star"],
     ["lattice"],
-    ["best_first", "lacam", "replanning", "smoothing", "timetable"],
+    ["best_first", "lacam", "replanning", "sequential", "smoothing", "timetable"],
     ["searches"],
     ["driver"],
     ["_replan"],

@@ -36,7 +36,8 @@ class BLOptions:
         searchers: Which searches take turns until one finds a path. "lacam" is LaCAM, which moves the whole team one
             step at a time: it is over at once where robots can push one another along, for large teams as well. "bl"
             is best-first search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
-            It alone heeds ``cell_size``, ``heuristic_weight``, ``batch``, ``branching`` and ``width``.
+            It alone heeds ``cell_size``, ``heuristic_weight``, ``batch``, ``branching`` and ``width``. Only where
+            both are asked for, a few discs are tried one after the other before.
         primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
             lattice. Round robots leave out those that turn.
         step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
@@ -151,6 +152,11 @@ class Incumbent:
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
             self.history.append((time.perf_counter() - self.began, cost))
+
+    def retime(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
+        """Take a path of the same motions at other times, which costs the same but for rounding."""
+        self.path, self.cost = path, path_cost(self.problem, path)
+        self.history[-1] = (self.history[-1][0], self.cost)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:

@@ -49,7 +49,8 @@ class Stats:
         num_children_valid: Those found free of collision; of LaCAM steps found.
         seconds: Wall-clock seconds by phase.
         history: Each new best path: seconds since the start and its cost.
-        found_by: Of :func:`plr_jax.bl_plan`, the search whose path became the best one, "lacam" or "bl".
+        found_by: Of :func:`plr_jax.bl_plan`, the search whose path became the best one, "lacam" or "bl", or
+            "sequential", of robots that go one after the other from corner to corner.
         num_bytes: Of the same, about what the largest lattices that were tried, and what was held beside them, take;
             what the limit on memory kept from being tried counts too, so that it then exceeds that limit.
     """

@@ -15,17 +15,19 @@ from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._heuristics import estimates, require_heuristic
-from plr_jax.planners._options import BLOptions, Incumbent, SearchBudget, require_task
+from plr_jax.planners._options import SEARCHERS, BLOptions, Incumbent, SearchBudget, require_task
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.searches import LatticeLevel, Searches, build_level, num_bytes, work
+from plr_jax.planners.sequential import sequential_path, side_by_side
 from plr_jax.planners.smoothing import halved, shorten, shorten_in_corridors
 
 _WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
 _NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
 _GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
 _ROUNDING = 1e-9
+_SEQUENTIAL = "sequential"
 
 
 def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
@@ -52,6 +54,9 @@ def bl_plan(
     problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
 ) -> Solution:
     """Plan for all robots at once: search lattices until the team can reach its goals, then make its path cheap.
+
+    A few discs among few walls may have a path at once: one goes after the other, each from corner to corner. It is
+    kept where nothing cheaper is found.
 
     Every robot moves on a lattice, on which its start and goal are exact; robots of one kind share one. Two searches
     take turns on it, and on finer ones while none succeeds:
@@ -85,9 +90,9 @@ def bl_plan(
 
     Returns:
         The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
-        is within ``cost_factor`` of the lower bound; EXHAUSTED if nothing was left to search on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or
-        INTERRUPTED, with or without a path.
+        is within ``cost_factor`` of the lower bound, and lattices were searched or cannot have a cheaper one;
+        EXHAUSTED if nothing was left to search on the finest lattice (the given ``step``, or 1/2048 of the bounds),
+        which proves nothing about finer ones; a limit, or INTERRUPTED. All but the first with or without a path.
 
     Raises:
         ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
@@ -104,12 +109,15 @@ def bl_plan(
         require_heuristic(heuristic)
     require_task(problem, options)
     began = time.perf_counter()
-    with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
-        run = _Run(problem, heuristic, options, began, progress)
-        try:
-            status = run.until_done()
-        except KeyboardInterrupt:
-            status = Status.INTERRUPTED
+    run = _Run(problem, heuristic, options, began)
+    try:
+        status = run.in_turn()
+        if status is None:
+            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
+                status = run.until_done()
+        run.set_out_early()
+    except KeyboardInterrupt:
+        status = Status.INTERRUPTED
     budget, best = run.budget, run.incumbent
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
     memory = int(min(run.num_bytes, _MOST_BYTES))
@@ -123,8 +131,10 @@ class _Run:
     A path that a search has found is made cheaper along the lattices first, then off them.
     """
 
-    def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
-        self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
+    progress: tqdm  # while it searches lattices
+
+    def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float):
+        self.problem, self.heuristic, self.options = problem, heuristic, options
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
         self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
@@ -133,13 +143,24 @@ class _Run:
         self.samples = problem.starts[None].copy()
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
-    def until_done(self) -> Status:
-        """Search, then search better, until the path is good enough or a limit is reached."""
-        if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
+    def in_turn(self) -> Status | None:
+        """Have one robot go after the other, if they can; SOLVED if the path is good enough, or none is cheaper."""
+        if self.heuristic is not None and isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(estimates(self.heuristic, self.problem.starts[None].copy())[0])
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
         if self.options.cost_factor < math.inf:
             self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
+        if set(self.options.searchers) < set(SEARCHERS):  # what one of them finds by itself is asked for
+            return None
+        with self.incumbent.phase("search"):
+            path = sequential_path(self.problem)
+        if path is not None:
+            self.incumbent.offer(path, _SEQUENTIAL, math.inf)
+        enough = self.enough if self.enough < math.inf else (1 + _ROUNDING) * self.lower_bound
+        return Status.SOLVED if self.incumbent.cost <= enough else None
+
+    def until_done(self) -> Status:
+        """Search, then search better, until the path is good enough or a limit is reached."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, len(options.primitives), self._fits)
         if weight is None:
@@ -154,6 +175,12 @@ class _Run:
             if following is None:
                 return Status.EXHAUSTED
             step, weight, options = following
+
+    def set_out_early(self) -> None:
+        """Have robots that were to go one after the other go as early as they can, if that is the best path."""
+        path = self.incumbent.path
+        if path is not None and self.incumbent.found_by == _SEQUENTIAL:
+            self.incumbent.retime(side_by_side(self.problem, path))
 
     def _take_turns(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
         """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.

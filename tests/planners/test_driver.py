@@ -132,8 +132,9 @@ def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is
     lower, upper = [(4.5, 0), (5.5, 0), (5.5, 2.69), (4.5, 2.69)], [(4.5, 3.51), (5.5, 3.51), (5.5, 8.8), (4.5, 8.8)]
     workspace = Workspace(((0, 0), (10, 10)), [lower, upper])
     problem = Problem(workspace, [DiscRobot(0.4)] * 2, [(1, 3), (1, 5)], [(9, 3), (9, 5)])
-    assert bl_plan(problem, options=BLOptions(step=0.4)).cost > 27
-    assert planned(problem, exact(problem)).cost < 17.2 and bl_plan(problem).cost < 17.2
+    assert bl_plan(problem, options=BLOptions(("lacam",), step=0.4)).cost > 27
+    for searchers in (("lacam",), ("bl",), ("lacam", "bl")):
+        assert planned(problem, exact(problem), searchers=searchers).cost < 17.2
 
 
 @pytest.mark.parametrize("weight", [None, 0.0])
@@ -190,7 +191,7 @@ def test_tangle_by_translation_alone_exhausts_its_frontier():
             {"primitives": TRANSLATIONS, "step": 1.0},
             0,
         ),
-        (ROOMS, {"step": 1e12, "time_limit": 5}, 0),  # a lattice of one cell
+        (ROOMS, {"searchers": ("bl",), "step": 1e12, "time_limit": 5}, 0),  # a lattice of one cell
     ],
     ids=["robots that cannot pass", "a heading that is never reached", "a step beyond all bounds"],
 )
@@ -249,8 +250,11 @@ def test_a_path_ends_when_all_have_arrived_for_good(rows, kept):
     ],
 )
 def test_limits(options, status):
-    solution = bl_plan(ROOMS, zero(), BLOptions(**options))
+    solution = bl_plan(ROOMS, zero(), BLOptions(("bl",), **options))
     assert solution.status is status and not solution.solved and solution.cost == np.inf
+    # Discs that can go one after the other have a path all the same.
+    solution = planned(ROOMS, zero(), **options)
+    assert solution.status is status and solution.stats.found_by == "sequential"
 
 
 @pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
@@ -268,9 +272,11 @@ def test_lattices_count_as_memory():
 
 
 def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
-    content = planned(ROOMS, cost_factor=1.5)
+    content = planned(ROOMS, cost_factor=1.5, searchers=("bl",))
     assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
-    assert content.stats.num_expansions == planned(ROOMS).stats.num_expansions
+    assert content.stats.num_expansions == planned(ROOMS, searchers=("bl",)).stats.num_expansions > 0
+    content = planned(ROOMS, cost_factor=1.5)
+    assert content.status is Status.SOLVED and content.stats.num_expansions == 0
 
 
 def test_an_improving_planner_goes_on_until_its_limit():

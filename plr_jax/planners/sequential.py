@@ -1,0 +1,317 @@
+"""The first path of a few discs among few walls, without a lattice: one goes after the other, on its shortest way.
+
+Ways run straight from corner to corner. While one robot goes, the others stand, at their starts or at their goals, in
+an order in which nobody is in the way. Where there is none, as of two that are bound for one another's place, one
+steps aside into a corner first. Who waits in vain sets out earlier, once the path turns out to be the best one.
+
+Numbers are few here, so that what counts is how many operations there are on arrays, or on single numbers.
+
+References:
+    Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg, Snoeyink, Lin and Manocha,
+    "Centralized path planning for multiple robots: optimal decoupling into sequential plans", 2009.
+"""
+
+from functools import cached_property, lru_cache
+from itertools import groupby, pairwise, permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse.csgraph import shortest_path
+
+from plr_jax._problem import Problem
+from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
+from plr_jax.geometry.workspace import Workspace
+
+# A disc among walls, and its ways along the corners of free space.
+
+
+_MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattices are as soon there, and someone is nearly always in the way
+_WIDEST = 2.0  # turn at a tip of a wall above which a way around it has two corners
+_LEAST_COSINE = 1e-3  # of half a turn, so that narrow corners are not at infinity
+_STILL = 1e-200  # stands for a velocity of 0, by which can be divided
+_DEPARTURES = 32  # times at which a robot may set out that are tried at most, but for the last one
+
+Points = Float[np.ndarray, "n 2"]
+Way = list[complex]
+Path = Float[np.ndarray, "steps robots dof"]
+Retimed = Float[np.ndarray, "rows robots dof"]
+Reaches = list[list[float]]
+
+
+class CornerRoadmap:
+    """The corners of free space between which a disc goes straight, each about its radius off both walls.
+
+    Attributes:
+        q: Where its center is there.
+        cost: What the shortest ways between them cost, ``inf`` where there is none.
+    """
+
+    def __init__(self, workspace: Workspace, radius: float):
+        boundary = workspace.boundary
+        # No rounding error of a distance decides whether the disc touches or collides.
+        self._reach = radius - workspace.tolerance / 2
+        begin, end = boundary.segments.transpose(1, 0, 2)
+        length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
+        # What its center must avoid is a box about each wall, whose sides are along the normal and the wall, and a
+        # circle about each corner that stands out.
+        self._axes = np.concatenate([boundary.normal, -turned_left(boundary.normal)])
+        self._middle = (self._axes * np.tile(middle, (2, 1))).sum(axis=1)[:, None]
+        self._half = np.append(np.full(len(length), self._reach), length / 2)[:, None]
+        turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
+        turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)  # negative where walls meet from within
+        self._tips = begin[turn > 0]
+        q = _places_at(begin, boundary.normal, turn, radius)
+        self.q = q[workspace.clearance(q) >= self._reach]
+        first, last = np.triu_indices(len(self.q), 1)
+        free = self.is_free(self.q[first], self.q[last])
+        straight = np.zeros((len(self.q), len(self.q)))
+        straight[first[free], last[free]] = np.hypot(*(self.q[last] - self.q[first])[free].T)
+        self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
+
+    def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, "n"]:
+        """Whether the disc stays clear of walls on straight ways from and to where it is free; it may touch them."""
+        (x, y), (dx, dy) = begin.T, (end - begin).T
+        # Seen from where a way begins, it leads past a tip, and near.
+        tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
+        along, squared = tip_x * dx + tip_y * dy, dx * dx + dy * dy
+        hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
+        # It is within both pairs of sides of a box at a time.
+        rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
+        rate[rate == 0] = _STILL
+        when, share = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
+        enter, leave = when - share, when + share
+        enter, leave = np.maximum(enter[:num], enter[num:]), np.minimum(leave[:num], leave[num:])
+        inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
+        return ~(inside.any(axis=0) | hits.any(axis=0))
+
+    def journeys(self, starts: Points, goals: Points) -> "list[Journey]":
+        """What equal robots need to know of their ways."""
+        num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
+        begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
+        cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
+        out, home = cost[num:].reshape(2, num, size)
+        to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
+        places = as_complex(ends)
+        columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
+        return [Journey(self, *of_one) for of_one in zip(*columns, strict=True)]
+
+    def between(self, u: int, v: int) -> Way:
+        """The shortest way from one to another."""
+        way = [v]
+        while way[-1] != u:
+            way.append(int(self._previous[u, way[-1]]))
+        return [self.places[corner] for corner in reversed(way)]
+
+    @cached_property
+    def places(self) -> list[complex]:
+        """Where its center is there, as complex numbers."""
+        return as_complex(self.q)
+
+
+_kept = lru_cache(maxsize=16)(CornerRoadmap)
+
+
+def _places_at(
+    at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
+) -> Float[np.ndarray, "corners 2"]:
+    """A disc's place at each corner, off the lines of both walls, whose normals turn by so much; two at a tip."""
+    count = np.where(turn > _WIDEST, 2, 1)
+    points = []
+    for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
+        angle, axis, half = (share * turn[there])[:, None], normal[there], (turn / 2 / count)[there, None]
+        away = np.cos(angle) * axis + np.sin(angle) * turned_left(axis)
+        points.append(at[there] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
+    return np.concatenate(points)
+
+
+class Journey(NamedTuple):
+    """One robot's ways from its start to its goal by way of corners.
+
+    Args:
+        roadmap: Where it may go.
+        start, goal: Its ends.
+        straight: What the straight way from start to goal costs, ``inf`` if it is not free.
+        out, home: Likewise of the straight ways from the start to each corner, and from there to the goal.
+        to_go: What the shortest ways from each corner to the goal cost.
+    """
+
+    roadmap: CornerRoadmap
+    start: complex
+    goal: complex
+    straight: float
+    out: Float[np.ndarray, "corners"]
+    home: Float[np.ndarray, "corners"]
+    to_go: Float[np.ndarray, "corners"]
+
+    @property
+    def detours(self) -> Float[np.ndarray, "corners"]:
+        """What the shortest ways from start to goal by way of each corner cost."""
+        return (self.out + self.roadmap.cost).min(axis=1, initial=np.inf) + self.to_go
+
+    def way(self) -> Way | None:
+        """The shortest way from start to goal."""
+        if self.straight < np.inf:
+            return [self.start, self.goal]
+        total = self.out + self.to_go
+        return [self.start, *self.way_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
+
+    def way_out(self, corner: int) -> Way:
+        """The shortest way from the start to a corner."""
+        return [self.start, *self.roadmap.between(int((self.out + self.roadmap.cost[corner]).argmin()), corner)]
+
+    def way_home(self, corner: int) -> Way:
+        """The shortest way from a corner to the goal."""
+        return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
+
+
+# One robot after the other.
+
+
+def sequential_path(problem: Problem) -> Path | None:
+    """A path on which one robot after the other goes straight from corner to corner, while the others stand.
+
+    Returns:
+        The path, in each row of which one robot has moved; None if none is found, or the team is not of up to 8 discs
+        among up to 48 walls.
+    """
+    robots, workspace = problem.robots, problem.workspace
+    are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > 0 for robot in robots)
+    if not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
+        return None
+    journeys: list[Any] = [None] * len(robots)
+    for radius in {robot.rounding for robot in robots}:
+        alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
+        found = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
+        for i, journey in zip(alike, found, strict=True):
+            journeys[i] = journey
+    ways = [journey.way() for journey in journeys]
+    rows = None if None in ways else _Sequence(journeys, ways, _reaches(problem)).rows()
+    return None if rows is None else np.array(rows)[..., None].view(np.float64)
+
+
+class _Sequence:
+    """The robots' ways, and where they stand."""
+
+    def __init__(self, journeys: list[Journey], ways: list[Way], reach: Reaches):
+        self.journeys, self.ways, self.reach = journeys, ways, reach
+        self.at = [journey.start for journey in journeys]
+        self.waiting, self.aside, self._rows = list(range(len(ways))), set(), [self.at.copy()]
+
+    def rows(self) -> list[list[complex]] | None:
+        """Have robots go home that are in nobody's way, and make way where there is none, until all are there."""
+        while self.waiting:
+            ready = next((i for i in self.waiting if self._is_ready(i, (i,))), None)
+            if ready is not None:
+                self._goes_home(ready)
+            elif not any(self._makes_way(i, j) for i, j in permutations(self.waiting, 2)):
+                return None
+        return self._rows
+
+    def _is_ready(self, i: int, ignored: tuple[int, ...]) -> bool:
+        """Whether a robot may go home: but for those ignored, nobody is in its way, and it will be in nobody's."""
+        others = [j for j in range(len(self.ways)) if j not in ignored]
+        return self._clears(i, self.ways[i], others) and not any(
+            _meets(self.ways[j], self.journeys[i].goal, self.reach[i][j]) for j in others if j in self.waiting
+        )
+
+    def _makes_way(self, i: int, j: int) -> bool:
+        """Have a robot step aside into a corner, once, and another go home past it; whether they can."""
+        if i in self.aside or not self._is_ready(j, (i, j)):
+            return False
+        journey, reach = self.journeys[i], self.reach[i][j]
+        detours, others = journey.detours, [k for k in range(len(self.ways)) if k != i]
+        for corner in np.argsort(detours, kind="stable").tolist():
+            if detours[corner] == np.inf:
+                break
+            if _meets(self.ways[j], journey.roadmap.places[corner], reach):
+                continue
+            out, home = journey.way_out(corner), journey.way_home(corner)
+            if self._clears(i, out, others) and not _meets(home, self.journeys[j].goal, reach):
+                self._go(i, out)
+                self.aside.add(i)
+                self.ways[i] = home
+                self._goes_home(j)
+                return True
+        return False
+
+    def _clears(self, i: int, way: Way, others: list[int]) -> bool:
+        """Whether a way of a robot leads past others where they stand."""
+        return not any(_meets(way, self.at[j], self.reach[i][j]) for j in others)
+
+    def _goes_home(self, i: int) -> None:
+        self._go(i, self.ways[i])
+        self.waiting.remove(i)
+
+    def _go(self, i: int, way: Way) -> None:
+        """Have a robot go a way, alone."""
+        for place in way[1:]:
+            if place != self.at[i]:
+                self.at[i] = place
+                self._rows.append(self.at.copy())
+
+
+def _meets(way: Way, place: complex, reach: float) -> bool:
+    """Whether a way leads nearer to a place than a distance."""
+    for begin, end in pairwise(way):
+        rate, offset = end - begin, place - begin
+        squared = abs(rate) ** 2
+        share = (offset * rate.conjugate()).real / squared if squared > 0 else 0.0
+        if abs(offset - min(max(share, 0.0), 1.0) * rate) < reach:
+            return True
+    return False
+
+
+def as_complex(q: Points) -> list[complex]:
+    """Points as complex numbers, whose arithmetic is quick where there are a few."""
+    return [complex(x, y) for x, y in q.tolist()]
+
+
+def _reaches(problem: Problem) -> Reaches:
+    """Distances at which two robots touch; no rounding error decides whether they collide."""
+    radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
+    return [[a + b - slack for b in radii] for a in radii]
+
+
+# The same motions at other times.
+
+
+def side_by_side(problem: Problem, path: Path) -> Retimed:
+    """A path of :func:`sequential_path` whose robots set out as soon as they meet none that set out before them.
+
+    Nobody goes another way, so that the path costs as much, and takes no longer.
+    """
+    num = len(problem.robots)
+    reach = np.array(_reaches(problem))[np.triu_indices(num, 1)]
+    times, ways = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
+    mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
+    result, row = path[:1], 0
+    for i, motions in groupby(mover.tolist()):
+        way = path[row : row + len(list(motions)) + 1, i]
+        row += len(way) - 1
+        since = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+        earlier, before = times[i], ways[i]
+        ways[i] = np.concatenate([before, way])
+        # At the last one, all others stand where they stood when the path was found.
+        first, last = earlier[-1], max(arrival[-1] for arrival in times)
+        num_early = int(min(_DEPARTURES, np.ceil((last - first) / reach.min(initial=np.inf))))
+        for depart in [*np.linspace(first, last, num_early, endpoint=False).tolist(), last]:
+            times[i] = np.append(earlier, depart + since)
+            result = _in_step(times, ways)
+            if _keep_apart(result, reach):
+                break
+    return result
+
+
+def _in_step(times: list[Float[np.ndarray, "_"]], ways: list[Float[np.ndarray, "_ 2"]]) -> Retimed:
+    """All robots on their ways, with a row wherever one of them turns, sets out or arrives."""
+    when = np.unique(np.concatenate(times))
+    columns = [np.interp(when, at, way[:, k]) for at, way in zip(times, ways, strict=True) for k in (0, 1)]
+    return np.stack(columns, axis=1).reshape(len(when), len(ways), 2)
+
+
+def _keep_apart(path: Retimed, reach: Float[np.ndarray, "pairs"]) -> bool:
+    """Whether no two robots meet on a path."""
+    i, j = np.triu_indices(path.shape[1], 1)
+    x, y = np.moveaxis(path[:, i] - path[:, j], 2, 0)
+    return bool((distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0)) >= reach).all())

@@ -1,0 +1,142 @@
+"""Discs one after the other: straight ways against Shapely's distances, paths against an independent check."""
+
+import numpy as np
+import pytest
+import shapely
+from planner_helpers import ROOM, exact, hallway
+
+from plr_jax import DiscRobot, PointRobot, Problem, Workspace, bl_plan, makespan, scenes, validate
+from plr_jax._problem import path_cost
+from plr_jax.planners.sequential import CornerRoadmap, sequential_path, side_by_side
+
+NEEDLE = Workspace(((0, 0), (10, 10)), [[(0, 4.9), (7, 5), (0, 5.1)], [(10, 1), (8, 2), (9, 0.5)]])
+L_SHAPED = Workspace(((0, 0), (10, 10)), [shapely.box(2, 2, 8, 3), shapely.box(2, 2, 3, 8), shapely.box(6, 6, 7, 9)])
+MAPS = {"door": scenes.single_door().workspace, "needle": NEEDLE, "rooms": L_SHAPED, "empty": ROOM}
+
+
+def random_team(rng, workspace):
+    """Discs of two sizes with starts and goals that are free and apart, some of them one another's."""
+    robots = [DiscRobot(float(radius)) for radius in rng.choice([0.3, 0.45], rng.integers(1, 6))]
+    while True:
+        starts, goals = rng.uniform(0.5, 9.5, (2, len(robots), 2))
+        if rng.random() < 0.3:
+            goals = starts[rng.permutation(len(robots))]
+        try:
+            return Problem(workspace, robots, starts, goals)
+        except ValueError:
+            continue
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_ways_are_free_where_shapely_says_so(name):
+    workspace, radius = MAPS[name], 0.4
+    roadmap, x = CornerRoadmap(workspace, radius), workspace.sample_free(4000, seed=1)
+    x = np.concatenate([x[workspace.clearance(x) >= radius], roadmap.q])
+    rng = np.random.default_rng(0)
+    begin, end = x[rng.integers(len(x), size=(2, 6000))]
+    end[::2] = begin[::2] + rng.normal(size=end[::2].shape)  # short ones, too
+    inside = workspace.clearance(end) >= radius
+    begin, end = begin[inside], end[inside]
+    distance = shapely.distance(shapely.linestrings(np.stack([begin, end], axis=1)), workspace.walls)
+    clear = np.abs(distance - radius) > 1e-7
+    free = roadmap.is_free(begin, end)
+    np.testing.assert_array_equal(free[clear], distance[clear] > radius)
+    assert name == "empty" or 0.1 < free.mean() < 0.98
+    assert free[~clear].all(), "what slides along walls and around corners touches"
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_corners_are_free_and_a_radius_off_the_lines_of_walls(name):
+    workspace, radius = MAPS[name], 0.4
+    q, boundary = CornerRoadmap(workspace, radius).q, workspace.boundary
+    assert len(q) > 3 and (workspace.clearance(q) >= radius - workspace.tolerance).all()
+    touched = np.isclose(q @ boundary.normal.T - boundary.offset, radius).sum(axis=1)
+    assert (touched >= (1 if name == "needle" else 2)).all()
+
+
+def test_a_lone_disc_goes_its_shortest_way_around_corners_that_are_not_rounded():
+    for name, workspace in MAPS.items():
+        rng = np.random.default_rng(3)
+        for _ in range(10):
+            ends = workspace.sample_free(200, seed=int(rng.integers(1000)))
+            ends = ends[workspace.clearance(ends) >= 0.4][:2, None]
+            problem = Problem(workspace, [DiscRobot(0.4)], *ends)
+            path = sequential_path(problem)
+            assert path is not None and validate(problem, path).valid, name
+            alone = float(exact(problem)(ends[0][None])[0])
+            # A corner of a quarter turn costs up to (2 - pi / 2) of the radius more than the arc.
+            assert alone * (1 - 1e-3) <= path_cost(problem, path) <= alone + 5 * 0.43 * 0.4
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_paths_of_teams_are_valid_and_set_out_earlier_at_the_same_cost(name):
+    rng, found = np.random.default_rng(7), 0
+    for _ in range(25):
+        problem = random_team(rng, MAPS[name])
+        path = sequential_path(problem)
+        if path is None:
+            continue
+        found += 1
+        retimed = side_by_side(problem, path)
+        for each in (path, retimed):
+            report = validate(problem, each)
+            assert report.valid, report.message
+        assert ((path[1:] != path[:-1]).any(axis=2).sum(axis=1) == 1).all(), "one robot goes at a time"
+        assert path_cost(problem, retimed) == pytest.approx(path_cost(problem, path), rel=1e-12)
+        assert makespan(problem, retimed) <= makespan(problem, path) * (1 + 1e-12)
+    assert found >= 12
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [*(scenes.four_rooms(n) for n in (2, 3, 4, 8)), scenes.cross(2), scenes.cross(3)],
+    ids=["rooms-2", "rooms-3", "rooms-4", "rooms-8", "cross-2", "cross-3"],
+)
+def test_robots_that_change_places_step_aside(scene):
+    for seed in range(3):
+        problem = scenes.perturbed(scene, seed)
+        path = sequential_path(problem)
+        assert path is not None and validate(problem, path).valid
+        np.testing.assert_array_equal(path, sequential_path(problem))
+
+
+def test_robots_whose_ways_do_not_meet_go_at_once():
+    rows = [(1.0, y) for y in (1.0, 3.0, 5.0)], [(9.0, y) for y in (1.0, 3.0, 5.0)]
+    problem = Problem(ROOM, [DiscRobot(0.4)] * 3, *rows)
+    solution = bl_plan(problem)
+    assert solution.cost == pytest.approx(24) and solution.makespan == pytest.approx(8)
+    assert solution.stats.found_by == "sequential" and solution.stats.num_expansions == 0
+
+
+def test_a_robot_that_follows_another_keeps_its_distance():
+    problem = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 5), (5, 1)], [(9, 5), (5, 9)])
+    solution = bl_plan(problem)
+    assert validate(problem, solution.path).valid and solution.cost == pytest.approx(16)
+    assert 8 < solution.makespan < 10
+
+
+def test_robots_that_are_at_their_goals_stay_or_come_back():
+    still = Problem(ROOM, [DiscRobot(0.4)] * 2, [(2, 5), (5, 5)], [(2, 5), (5, 5)])
+    path = sequential_path(still)
+    assert path is not None
+    np.testing.assert_array_equal(path, still.starts[None])
+    np.testing.assert_array_equal(side_by_side(still, path), path)
+    bay = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3, 2.2), shapely.box(4.2, 1, 7, 2.2)])
+    passed = Problem(bay, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (3.6, 0.5)], [(6.4, 0.5), (3.6, 0.5)])
+    path = sequential_path(passed)
+    assert path is not None and validate(passed, path).valid
+    assert path[:, 1, 1].max() > 1.3, "the second robot waits in the bay"
+
+
+def test_what_is_left_to_lattices():
+    many = Workspace(((0, 0), (20, 2)), [shapely.box(x + 0.5, 0, x + 0.6, 0.5) for x in range(1, 19)])
+    ends = [(1, 1)], [(9, 1)]
+    nine = [(x, 1) for x in range(1, 10)]
+    for problem in (
+        scenes.tangle(),
+        hallway(5),
+        Problem(ROOM, [PointRobot()], *ends),
+        Problem(many, [DiscRobot(0.2)], *ends),
+        Problem(ROOM, [DiscRobot(0.2)] * 9, nine, [(x, 6) for x, _ in nine]),
+    ):
+        assert sequential_path(problem) is None
