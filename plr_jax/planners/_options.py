@@ -148,10 +148,10 @@ class Incumbent:
 
     def offer(self, path: Float[np.ndarray, "steps robots dof"], found_by: str, motions_factor: float) -> None:
         """Take a path that is cheaper."""
-        cost = path_cost(self.problem, path)
+        seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
-            self.history.append((time.perf_counter() - self.began, cost))
+            self.history.append((seconds, cost))
 
     def retime(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         """Take a path of the same motions at other times, which costs the same but for rounding."""

@@ -137,26 +137,25 @@ class _Run:
         self.problem, self.heuristic, self.options = problem, heuristic, options
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
-        self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
-        self.enough = math.inf
+        self.lower_bound, self.enough = options.lower_bound or 0.0, math.inf
         self.incumbent = Incumbent(problem, began)
         self.samples = problem.starts[None].copy()
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
     def in_turn(self) -> Status | None:
         """Have one robot go after the other, if they can; SOLVED if the path is good enough, or none is cheaper."""
-        if self.heuristic is not None and isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
+        if set(self.options.searchers) == set(SEARCHERS):  # else what one of them finds by itself is asked for
+            with self.incumbent.phase("search"):
+                path = sequential_path(self.problem)
+            if path is not None:
+                self.incumbent.offer(path, _SEQUENTIAL, math.inf)
+        self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
+        if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(estimates(self.heuristic, self.problem.starts[None].copy())[0])
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
+        enough = (1 + _ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
-            self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
-        if set(self.options.searchers) < set(SEARCHERS):  # what one of them finds by itself is asked for
-            return None
-        with self.incumbent.phase("search"):
-            path = sequential_path(self.problem)
-        if path is not None:
-            self.incumbent.offer(path, _SEQUENTIAL, math.inf)
-        enough = self.enough if self.enough < math.inf else (1 + _ROUNDING) * self.lower_bound
+            self.enough = enough = self.options.cost_factor * enough
         return Status.SOLVED if self.incumbent.cost <= enough else None
 
     def until_done(self) -> Status:
