@@ -225,7 +225,7 @@ def ended(code, said, folder, *arguments):
 
 def test_no_path_is_exit_code_1_and_nothing_is_written(tmp_path):
     said = "Error: No path: the limit on expansions was reached.\n"
-    result = ended(1, said, tmp_path, "four_rooms", "--heuristic", "none", "--max-expansions", 3)
+    result = ended(1, said, tmp_path, "tangle", "--heuristic", "none", "--max-expansions", 3)
     assert "status     the limit on expansions was reached\n" in result.stdout
     assert "cost       none: no path was found\n" in result.stdout
 
@@ -251,6 +251,6 @@ def test_interrupting_before_there_is_a_path_leaves_nothing(tmp_path, monkeypatc
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_planning, "straight_line", lambda problem: interrupt)
-    ended(130, "Interrupted: no path yet.\n", tmp_path, "single_door", "--heuristic", "straight-line")
+    ended(130, "Interrupted: no path yet.\n", tmp_path, "tangle", "--heuristic", "straight-line")
     monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt)
     ended(130, "Interrupted.\n", tmp_path, "four_rooms", "--heuristic", "plr")
