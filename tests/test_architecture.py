@@ -39,7 +39,7 @@ PLR_LAYERS = [
     ["_assembly", "_location", "_stack"],
     ["_certify"],
     ["_best", "_checkpoint", "_trace", "refinement"],
-    ["_construct"],
+    ["_chunks", "_construct"],
     ["_construct_many", "_coarsen"],
 ]
 # And inside that of the planners.

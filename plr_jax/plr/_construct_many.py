@@ -3,8 +3,7 @@
 import os
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,14 +12,13 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import require_integer, shortened
-from plr_jax._cores import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import deferred_plr
-from plr_jax.plr._checkpoint import KEY_SIZE, Checkpoint, digest_of
+from plr_jax.plr._checkpoint import Checkpoint, digest_of
+from plr_jax.plr._chunks import Chunk, Done
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, encode
-from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
@@ -31,14 +29,6 @@ from plr_jax.plr.partition.cells import grown_domain
 from plr_jax.plr.sampling.asked import as_executor
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
-
-
-@dataclass(frozen=True, eq=False)
-class _Chunk:
-    """Some of the PLRs, and what gives their files, in a process of its own perhaps."""
-
-    numbers: list[int]
-    files: Callable[[], list[bytes]]
 
 
 def construct_many(
@@ -119,9 +109,11 @@ def construct_many(
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited
-    done = _Done.of(oracles, domain, f"{model} {limits} {int(seed)}", checkpoint)
+    options_digested = f"{model} {limits} {int(seed)}"
+    kept = None if checkpoint is None else Checkpoint(checkpoint, digest_of(oracles, domain, options_digested))
+    done = Done.of(len(oracles), kept)
     families: dict[int, list[int]] = {}
-    for number in (number for number, plr in enumerate(done.plrs) if plr is None):
+    for number in (number for number, file in enumerate(done.results) if file is None):
         oracle = oracles[number]
         of_family = as_family and isinstance(oracle, FamilyFn)
         families.setdefault(id(oracle.family) if of_family else -1 - number, []).append(number)
@@ -131,11 +123,24 @@ def construct_many(
         if as_family and isinstance(model, FamilyLeafModel) and isinstance(first, FamilyFn):
             work = _Family(model.family_task(first, domain, limits, int(seed)), domain, model, limits.proof)
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
-            chunks += [_Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
+            chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
-            chunks.append(_Chunk(numbers, partial(_file_alone, first, domain, options)))
-    _run(chunks, done, executor)
-    return done.plrs
+            chunks.append(Chunk(numbers, partial(_file_alone, first, domain, options)))
+    with tqdm(
+        desc="construct_many",
+        unit=" PLRs",
+        total=len(oracles),
+        initial=done.count,
+        delay=2,
+        leave=False,
+        disable=None,
+    ) as progress:
+        try:
+            done.build(chunks, executor, progress)
+        except KeyboardInterrupt:
+            message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
+    return [None if file is None else deferred_plr(file) for file in done.results]
 
 
 def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:
@@ -173,76 +178,3 @@ class _Family:
 
 def _file_alone(oracle: DistanceFn, domain: Box, options: dict[str, Any]) -> list[bytes]:
     return [construct(oracle, domain, **options).to_bytes()]
-
-
-@dataclass(frozen=True, eq=False)
-class _Done:
-    """The PLRs that are done, None for the others, and where they are kept."""
-
-    plrs: list[PLR | None]
-    checkpoint: Checkpoint | None
-
-    @classmethod
-    def of(cls, oracles: list[DistanceFn], domain: Box, options: str, path: str | os.PathLike | None) -> "_Done":
-        """Those of a checkpoint, if there is one."""
-        if path is None:
-            return cls([None] * len(oracles), None)
-        checkpoint = Checkpoint(path, digest_of(oracles, domain, options))
-        files = [checkpoint.records.get(_key(number)) for number in range(len(oracles))]
-        return cls([None if data is None else deferred_plr(data) for data in files], checkpoint)
-
-    @property
-    def count(self) -> int:
-        """How many are done."""
-        return sum(plr is not None for plr in self.plrs)
-
-    def keep(self, chunk: _Chunk, files: list[bytes]) -> None:
-        """Put the PLRs of a chunk in their places."""
-        if self.checkpoint is not None and self.plrs[chunk.numbers[0]] is None:
-            self.checkpoint.add({_key(number): data for number, data in zip(chunk.numbers, files, strict=True)})
-        for number, data in zip(chunk.numbers, files, strict=True):
-            self.plrs[number] = deferred_plr(data)
-
-
-def _key(number: int) -> bytes:
-    return number.to_bytes(KEY_SIZE, "big")
-
-
-def _run(chunks: list[_Chunk], done: _Done, executor: Executor | None) -> None:
-    """Build what is left; what a pool did not finish because a worker of it died, by threads of this process."""
-    total, threads = len(done.plrs), ThreadPoolExecutor(num_cores())
-    with tqdm(
-        desc="construct_many", unit=" PLRs", total=total, initial=done.count, delay=2, leave=False, disable=None
-    ) as progress:
-        try:
-            left = chunks if executor is None else _run_by(executor, chunks, done, progress)
-            _run_by(threads, left, done, progress)
-        except KeyboardInterrupt:
-            message = f"Interrupted at {done.count} of {total} PLRs: None stands for the others."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
-        finally:
-            threads.shutdown(wait=False, cancel_futures=True)
-    if done.checkpoint is not None and done.count == total:
-        done.checkpoint.finish()
-
-
-def _run_by(pool: Executor, chunks: list[_Chunk], done: _Done, progress: tqdm) -> list[_Chunk]:
-    """Build chunks by a pool; these are left of them when it breaks."""
-    futures: dict[Future[list[bytes]], _Chunk] = {}
-    try:
-        with suppress(BrokenExecutor):
-            for chunk in chunks:
-                futures[pool.submit(chunk.files)] = chunk
-        for future in as_completed(futures):
-            with suppress(BrokenExecutor):
-                done.keep(futures[future], future.result())
-                progress.update(len(futures[future].numbers))
-    except KeyboardInterrupt:
-        for future, chunk in futures.items():
-            if future.done() and not future.cancelled() and future.exception() is None:
-                done.keep(chunk, future.result())
-        raise
-    finally:
-        for future in futures:
-            future.cancel()
-    return [chunk for chunk in chunks if done.plrs[chunk.numbers[0]] is None]

@@ -11,6 +11,7 @@ import pytest
 import plr_jax
 from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
+from plr_jax.plr._chunks import Done
 
 MAZE = plr_jax.scenes.maze().workspace
 CONES = {"leaf": "cone", "max_bytes": 300}
@@ -168,7 +169,7 @@ def finished(work, tmp_path_factory):
 def test_nothing_is_built_twice(work, family, finished, monkeypatch):
     path, files = finished
     assert files[:2] == files_of(family[:2])
-    monkeypatch.setattr(_construct_many, "_run_by", lambda pool, chunks, *rest: [] if not chunks else 1 / 0)
+    monkeypatch.setattr(Done, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
     again = many(work, checkpoint=path)
     assert files_of(again) == files
     x = MAZE.sample_free(20, 0)
