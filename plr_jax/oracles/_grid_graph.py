@@ -16,6 +16,26 @@ _AT_ONCE = 2**22  # distances of cells held at a time
 _OUTSIDE = -1
 
 
+def legal_steps(
+    free: Bool[np.ndarray, "rows columns"], connectivity: int
+) -> tuple[Int[np.ndarray, "steps"], Int[np.ndarray, "steps"], Bool[np.ndarray, "steps"]]:
+    """All legal steps, each in one of its directions: cells where they begin and end, and which ones are diagonal.
+
+    Cells are numbered in row-major order.
+    """
+    rows, columns = np.nonzero(free)
+    legal = np.pad(free, 1)
+    begin, end, is_diagonal = [], [], []
+    for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (connectivity == 8):
+        row, column = rows + 1, columns + 1
+        can = legal[row + down, column + right] & legal[row + down, column] & legal[row, column + right]
+        cell = (rows * free.shape[1] + columns)[can]
+        begin.append(cell)
+        end.append(cell + down * free.shape[1] + right)
+        is_diagonal.append(np.full(len(cell), down * right != 0))
+    return np.concatenate(begin), np.concatenate(end), np.concatenate(is_diagonal)
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class GridGraph:
     """Number of steps over a grid to a goal, a `DistanceFn`, exact.
@@ -142,18 +162,8 @@ class GridGraph:
     @cached_property
     def _steps(self) -> csr_array:
         """Lengths of the legal steps, each in one of its directions, between cells in row-major order."""
-        rows, columns = np.nonzero(self.free)
-        legal = np.pad(self.free, 1)
-        begin, end, length = [], [], []
-        for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
-            row, column = rows + 1, columns + 1
-            can = legal[row + down, column + right] & legal[row + down, column] & legal[row, column + right]
-            cell = (rows * self.free.shape[1] + columns)[can]
-            begin.append(cell)
-            end.append(cell + down * self.free.shape[1] + right)
-            length.append(np.full(len(cell), np.hypot(down, right)))
-        lengths, ends = np.concatenate(length), (np.concatenate(begin), np.concatenate(end))
-        return csr_array((lengths, ends), shape=(self.free.size, self.free.size))
+        begin, end, is_diagonal = legal_steps(self.free, self.connectivity)
+        return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=(self.free.size, self.free.size))
 
     def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
         """Distances of all cells from some; a blocked one is not even 0 from itself."""
