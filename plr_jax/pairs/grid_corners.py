@@ -23,8 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int, Int32, Integer
+from tqdm import tqdm
 
-from plr_jax.pairs.grid_sectors import corner_cells, corners_in_sight, open_length, units
+from plr_jax.pairs.grid_sectors import TablesTooLarge, corner_cells, corners_in_sight, open_length, units
 from plr_jax.pairs.grid_sight import looked_up
 
 FAR = 2**30
@@ -33,10 +34,13 @@ FAR = 2**30
 MOST_IN_TABLE = 2**14
 """Corners between which all distances are kept: of 8 bits, they take 134 MB, and four times that until then."""
 
+MOST_BYTES = 2**30
+"""Of the largest table that is made where no fewer are asked for."""
+
 _NO_PATH = FAR + 2**20  # so that what is a little less is no path either
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # so that twice as many units fit into 8 bits, or into 16
-_MOST_ANCESTORS = 2**27  # of all corners together, 8 bytes each
-_MOST_EDGES = 2**25  # of all corners when they are taken out
+_MOST_WORK = 2**27  # pairs of neighbors of all corners when they are taken out: half a minute
+_ANCESTOR_BYTES = 8
 
 
 @jax.tree_util.register_dataclass
@@ -105,26 +109,37 @@ class CornerLabels:
 _PlaceAndLeast = tuple[Int32[Array, ""], Int32[Array, "..."]]
 
 
-def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
+def corner_distances(
+    free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int
+) -> CornerTable | CornerLabels:
     """Distances between all corners of a grid, in row-major order.
 
     Raises:
-        ValueError: If paths are so long that their lengths do not fit into 30 bits, or there are more than
-            :data:`MOST_IN_TABLE` corners, and too many ancestors.
+        ValueError: If paths are so long that their lengths do not fit into 30 bits.
+        TablesTooLarge: If they would take more bytes, or so many corners are in passages so wide that taking them out
+            would take minutes.
     """
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # to which a query adds the rest
     if most < 0:
         raise _too_long(FAR // 2)
-    order, uppers = _eliminated(_edges(free, connectivity))
-    if len(order) > MOST_IN_TABLE:
-        return _labels(order, uppers, most)
-    distances = _all_pairs(order, uppers)
+    edges = _edges(free, connectivity)
+    size, kind = len(edges) * (len(edges) + 1) // 2, np.dtype(np.int8 if connectivity == 4 else np.int16)
+    has_table = len(edges) <= MOST_IN_TABLE
+    if has_table and size * kind.itemsize > most_bytes:
+        raise TablesTooLarge(most_bytes)
+    with tqdm(
+        desc="construct_grid_pairs", unit=" corners", total=2 * len(edges), delay=2, leave=False, disable=None
+    ) as progress:
+        order, uppers = _eliminated(edges, most_bytes, progress)
+        if not has_table:
+            return _labels(order, uppers, most, most_bytes, progress)
+        distances = _all_pairs(order, uppers, progress)
     if np.count_nonzero(distances < most) != _num_joined(order, uppers):
         raise _too_long(most)
     radius = _MOST_STEPS_FROM_CENTER[connectivity] * units(connectivity)
     centers, center = _centers(distances, radius)
     between = distances[np.ix_(centers, centers)]
-    differences = np.empty(len(center) * (len(center) + 1) // 2, np.int8 if connectivity == 4 else np.int16)
+    differences = np.empty(size, kind)
     for corner, row in enumerate(distances):
         begin = corner * (corner + 1) // 2
         expected = between[center[corner], center[: corner + 1]]
@@ -151,7 +166,7 @@ def _edges(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> _Edges:
     return edges
 
 
-def _eliminated(edges: _Edges) -> tuple[list[int], _Edges]:
+def _eliminated(edges: _Edges, most_bytes: int, progress: tqdm) -> tuple[list[int], _Edges]:
     """An order of elimination, and the neighbors that each corner has when it is taken out.
 
     Of corners with as few neighbors those are first that are not above others, so that chains have few ancestors.
@@ -159,7 +174,7 @@ def _eliminated(edges: _Edges) -> tuple[list[int], _Edges]:
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
     heapq.heapify(heap)
-    is_left, order, num_edges = [True] * len(edges), [], 0
+    is_left, order, num_edges, work = [True] * len(edges), [], 0, 0
     while heap:
         key, _, corner = heapq.heappop(heap)
         nearby = edges[corner]
@@ -167,12 +182,11 @@ def _eliminated(edges: _Edges) -> tuple[list[int], _Edges]:
             continue
         is_left[corner] = False
         order.append(corner)
-        num_edges += len(nearby)
-        if num_edges > _MOST_EDGES:
-            raise ValueError(
-                "The grid's obstacles have too many corners in passages so wide: their distances would not fit "
-                "into memory; cut the map into parts."
-            )
+        num_edges, work = num_edges + len(nearby), work + len(nearby) ** 2
+        is_labeled = len(edges) > MOST_IN_TABLE  # then each neighbor is one of the ancestors
+        if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > most_bytes):
+            raise TablesTooLarge(most_bytes)
+        progress.update()
         for a, to_a in nearby.items():
             of_a = edges[a]
             del of_a[corner]
@@ -184,7 +198,7 @@ def _eliminated(edges: _Edges) -> tuple[list[int], _Edges]:
     return order, edges
 
 
-def _labels(order: list[int], uppers: _Edges, most: int) -> CornerLabels:
+def _labels(order: list[int], uppers: _Edges, most: int, most_bytes: int, progress: tqdm) -> CornerLabels:
     """Distances of all corners to their ancestors, those of the last ones first."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
@@ -194,13 +208,11 @@ def _labels(order: list[int], uppers: _Edges, most: int) -> CornerLabels:
             parent[corner] = min(uppers[corner], key=place.__getitem__)
             depth[corner] = depth[parent[corner]] + 1
     first = np.concatenate([[0], np.cumsum(depth + 1)])
-    if first[-1] > _MOST_ANCESTORS:
-        raise ValueError(
-            f"Distances between the corners of the grid's obstacles would take {8 * first[-1]} bytes: cut the map "
-            "into parts."
-        )
+    if _ANCESTOR_BYTES * first[-1] > most_bytes:
+        raise TablesTooLarge(most_bytes)
     ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
     for corner in reversed(order):
+        progress.update()
         own = slice(first[corner], first[corner + 1])
         ancestor[own.stop - 1] = corner
         if not uppers[corner]:
@@ -220,12 +232,13 @@ def _labels(order: list[int], uppers: _Edges, most: int) -> CornerLabels:
     return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
 
 
-def _all_pairs(order: list[int], uppers: _Edges) -> Int32[np.ndarray, "corners corners"]:
+def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
     """Distances of all corners, those that were taken out last first."""
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)
     for known, corner in enumerate(reversed(order)):
+        progress.update()
         distances[known, known] = 0
         nearby = uppers[corner]
         if nearby:

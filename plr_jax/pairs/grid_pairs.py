@@ -1,7 +1,10 @@
 """Distances between all pairs of cells of a grid."""
 
+import os
 import struct
 import zlib
+from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass
 
 import jax
@@ -12,22 +15,33 @@ from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shorte
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_header import GridHeader, grid_header
+from plr_jax.pairs.grid_landmarks import (
+    MOST_LANDMARKS,
+    LandmarkTables,
+    bounds_around,
+    evaluate_bounds,
+    landmark_tables,
+    landmarks_within,
+)
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
-from plr_jax.pairs.grid_sectors import CONNECTIVITIES
+from plr_jax.pairs.grid_sectors import CONNECTIVITIES, TablesTooLarge
 from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
+from plr_jax.plr.sampling.asked import as_executor
 
-# The file of the distances between all pairs of cells of a grid: the grid, from which all else follows.
+# The file of the distances between all pairs of cells of a grid: the grid, and how many landmarks bound them if they
+# are not exact, from which all else follows.
 #
 # All numbers are little-endian:
 #
 #     4s      magic, b"PGP\n"
-#     u8      version, 1
+#     u8      version: 1, or 2 if distances are bounded by landmarks
 #     u8      connectivity, 4 or 8
 #     u32     number of rows
 #     u32     number of columns
 #     u32     size of the whole file in bytes
+#     u32     number of landmarks of each part of the grid; not in version 1
 #     ...     bit stream, see ``plr/file/bits.py``: the set of the cells that differ from the one above, in row-major
 #             order; above the first row all are blocked
 #     u32     CRC-32 of all bytes before
@@ -36,27 +50,28 @@ from plr_jax.plr.file.container import GRID_MAGIC
 MOST_CELLS = 2**22
 """Cells of the largest grid."""
 
-_VERSION = 1
-_HEADER, _CRC = struct.Struct("<4sBBIII"), struct.Struct("<I")
+_EXACT, _BOUNDED = 1, 2  # versions
+_HEADER, _NUMBER, _CRC = struct.Struct("<4sBBIII"), struct.Struct("<I"), struct.Struct("<I")
 
 
-def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
-    """The bytes of a grid's file."""
+def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, num_landmarks: int = 0) -> bytes:
+    """The bytes of a grid's file; without landmarks if distances are exact."""
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
+    version, body = (_BOUNDED, _NUMBER.pack(num_landmarks) + body) if num_landmarks else (_EXACT, body)
     size = _HEADER.size + len(body) + _CRC.size
-    data = _HEADER.pack(GRID_MAGIC, _VERSION, connectivity, *free.shape, size) + body
+    data = _HEADER.pack(GRID_MAGIC, version, connectivity, *free.shape, size) + body
     return data + _CRC.pack(zlib.crc32(data))
 
 
-def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
-    """The cells and the connectivity that a file's bytes hold; raises ``ValueError`` saying what is wrong."""
+def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int, int]:
+    """What a file's bytes hold, as it was encoded; raises ``ValueError`` saying what is wrong."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
         raise ValueError("the data end too early")
     _, version, connectivity, rows, columns, size = _HEADER.unpack_from(data)
-    if version != _VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {_VERSION}")
+    if version not in (_EXACT, _BOUNDED):
+        raise ValueError(f"it has format version {version}, this release reads versions {_EXACT} and {_BOUNDED}")
     if len(data) != size:
         raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
     if zlib.crc32(data[: -_CRC.size]) != _CRC.unpack(data[-_CRC.size :])[0]:
@@ -65,11 +80,21 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
         raise ValueError(f"it states a connectivity of {connectivity}, not 4 or 8")
     if not 0 < rows * columns <= MOST_CELLS:
         raise ValueError(f"it states {rows} x {columns} cells, not 1 to {MOST_CELLS}")
-    body = BitReader(data[_HEADER.size : -_CRC.size])
+    rest, num_landmarks = data[_HEADER.size : -_CRC.size], 0
+    if version == _BOUNDED:
+        if len(rest) < _NUMBER.size:
+            raise ValueError("the data end too early")
+        (num_landmarks,), rest = _NUMBER.unpack_from(rest), rest[_NUMBER.size :]
+        if not 0 < num_landmarks <= MOST_LANDMARKS:
+            raise ValueError(f"it states {num_landmarks} landmarks, not 1 to {MOST_LANDMARKS}")
+    body = BitReader(rest)
     differs = body.read_set(rows * columns).reshape(rows, columns)
     if not body.at_end():
         raise ValueError("it holds more data than its cells need")
-    return np.logical_xor.accumulate(differs, axis=0), connectivity
+    free = np.logical_xor.accumulate(differs, axis=0)
+    if num_landmarks and not free.any():
+        raise ValueError("it states landmarks, and no cell is free")
+    return free, connectivity, num_landmarks
 
 
 @jax.tree_util.register_dataclass
@@ -80,10 +105,10 @@ class DistanceToCell:
     Attributes:
         tables: Those of all pairs.
         goal: Row and column of the cell.
-        from_goal: Distance of each corner to it, in units, by way of corners.
+        from_goal: Distance of each corner to it, in units, by way of corners; of none if distances are bounds.
     """
 
-    tables: GridTables
+    tables: GridTables | LandmarkTables
     goal: Int[Array, "2"]
     from_goal: Int32[Array, "corners"]
 
@@ -114,7 +139,10 @@ class DistanceToCell:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
+        x = _as_points("x", x)
+        if isinstance(self.tables, LandmarkTables):
+            return evaluate_bounds(self.tables, x, jax.numpy.broadcast_to(self.goal[::-1], x.shape), above=False)
+        return evaluate_to(self.tables, self.from_goal, self.goal, x)
 
 
 @jax.tree_util.register_dataclass
@@ -129,6 +157,12 @@ class GridPairs:
     by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
     proof.
 
+    Where exact tables take more bytes than allowed, answers are lower bounds instead, and ``num_landmarks`` is not 0:
+    the largest difference of the distances to landmarks (a differential heuristic), at least the distance without
+    obstacles. They are exact of cells that see each other, and still ``inf`` where no path joins the cells. They are
+    consistent: a step changes them by its length at most, or, of grids whose paths are longer than 32,767 steps or
+    that are 8-connected, by that and what 16 bits round, under 1/30,000 of the longest path.
+
     It is a pytree of arrays: a jitted function can close over it or take it as an argument.
 
     Attributes:
@@ -136,15 +170,17 @@ class GridPairs:
         file: The bytes that :func:`save` writes.
     """
 
-    tables: GridTables
+    tables: GridTables | LandmarkTables
     file: UInt8[Array, "bytes"] | UInt8[np.ndarray, "bytes"]
 
     def __repr__(self) -> str:
         rows, columns = self.tables.shape
-        return f"GridPairs({rows} x {columns} cells, {self.tables.connectivity}-connected, {self.num_bytes} bytes)"
+        bounds = f", bounds by {self.num_landmarks} landmarks" if self.num_landmarks else ""
+        connectivity = f"{self.tables.connectivity}-connected"
+        return f"GridPairs({rows} x {columns} cells, {connectivity}, {self.num_bytes} bytes{bounds})"
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Number of steps, or length, of a shortest path between the cells of points.
+        """Number of steps, or length, of a shortest path between the cells of points, or its lower bound.
 
         Symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
 
@@ -165,26 +201,38 @@ class GridPairs:
             shape = np.broadcast_shapes(*(one.shape for one in points))
         except ValueError:
             raise ValueError(f"x and y must be of one shape, got {points[0].shape} and {points[1].shape}.") from None
-        return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
+        points = [jax.numpy.broadcast_to(one, shape) for one in points]
+        if isinstance(self.tables, LandmarkTables):
+            return evaluate_bounds(self.tables, *points, above=False)
+        return evaluate_pairs(self.tables, *points)
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the length of a shortest path: what is answered, and above it what rounding may take off.
+
+        With landmarks the upper bound is the shortest way over one of them, far above the distance of cells that are
+        near each other and not near one.
 
         Args:
             x: Points, as for a call.
             y: Points that broadcast against them.
 
         Returns:
-            Lower and upper bounds, ``(...)`` each; equal on 4-connected grids.
+            Lower and upper bounds, ``(...)`` each; equal on 4-connected grids without landmarks.
 
         Raises:
             ValueError: As for a call.
         """
         lower = self(x, y)
+        if isinstance(self.tables, LandmarkTables):
+            points = (jax.numpy.broadcast_to(_as_points("", one), (*lower.shape, 2)) for one in (x, y))
+            upper = evaluate_bounds(self.tables, *points, above=True)
+            return lower, upper if self.tables.connectivity == 4 else upper * (1 + SLACK)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
         """Steps to goals from all cells around agents, as many rows and columns to each side as ``radius``.
+
+        Of pairs with landmarks, their lower bounds.
 
         A function is compiled for each number of agents and radius. It may be called in jitted functions.
 
@@ -207,6 +255,8 @@ class GridPairs:
             raise ValueError(f"goals and positions must be (n, 2) both, got {goals.shape} and {positions.shape}.")
         if not len(goals):
             return jax.numpy.zeros((0, 2 * int(radius) + 1, 2 * int(radius) + 1), jax.numpy.int32)
+        if isinstance(self.tables, LandmarkTables):
+            return bounds_around(self.tables, goals, positions, radius=int(radius))
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
@@ -225,6 +275,8 @@ class GridPairs:
         if not np.isfinite(self(goal, goal)):
             raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")
         cell = jax.numpy.asarray(np.floor(goal)[::-1].astype(np.int32))
+        if isinstance(self.tables, LandmarkTables):
+            return DistanceToCell(self.tables, cell, jax.numpy.zeros(0, jax.numpy.int32))
         return DistanceToCell(self.tables, cell, corners_from(self.tables, cell))
 
     @property
@@ -244,8 +296,13 @@ class GridPairs:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners of obstacles."""
-        return len(self.tables.row)
+        """Number of corners of obstacles between which distances are kept; 0 with landmarks."""
+        return 0 if isinstance(self.tables, LandmarkTables) else len(self.tables.row)
+
+    @property
+    def num_landmarks(self) -> int:
+        """Number of landmarks that each part of the grid has; 0 if distances are exact."""
+        return self.tables.num_landmarks if isinstance(self.tables, LandmarkTables) else 0
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
@@ -265,13 +322,17 @@ class GridPairs:
             The ``text`` of the header, and the bytes of its ``table``.
 
         Raises:
-            ValueError: If the name is no identifier.
+            ValueError: If the name is no identifier, or distances are bounds by landmarks.
         """
+        if isinstance(self.tables, LandmarkTables):
+            raise ValueError("C is written of exact distances, and these are bounds: allow more max_bytes.")
         return grid_header(self.tables, name)
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
         """What :meth:`to_bytes` gave; it answers alike, bit for bit.
+
+        This takes as long as construction, of landmarks with one process. If interrupted (Ctrl-C), there is nothing.
 
         Args:
             data: The bytes.
@@ -286,29 +347,47 @@ class GridPairs:
         if not isinstance(data, bytes | bytearray | memoryview):
             raise ValueError(f"The bytes of a file are expected, got {shortened(data)}.")
         data = bytes(data)
-        free, connectivity = decode_grid(data)
-        return _of_grid(free, connectivity, data)
+        free, connectivity, num_landmarks = decode_grid(data)
+        if num_landmarks:
+            return GridPairs(landmark_tables(free, connectivity, num_landmarks), np.frombuffer(data, np.uint8))
+        return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
 
 
-def construct_grid_pairs(graph: CellGraph | ArrayLike, *, max_bytes: int | None = None) -> GridPairs:
+def construct_grid_pairs(
+    graph: CellGraph | ArrayLike,
+    *,
+    max_bytes: int | None = None,
+    executor: Executor | None = None,
+    checkpoint: str | os.PathLike | None = None,
+) -> GridPairs:
     """Distances between all pairs of cells of a grid.
 
     Of two million cells of a game's map that takes some seconds, and a gigabyte; most of it goes with the number of
     cells times that of corners which each is taut at. Up to 2**14 corners of obstacles all distances between these
-    are kept; of more, as mazes have, those that narrow passages leave over.
+    are kept; of more, as mazes have, those that narrow passages leave over. Where that is too much, ``max_bytes``
+    gives proven bounds.
 
     Args:
         graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
             free, ``(rows, columns)``, of a 4-connected one.
-        max_bytes: The largest file that will do. None: any.
+        max_bytes: Most bytes of the arrays that a query reads (``resident_bytes``); the file has the map alone. If
+            exact tables take more, there are lower and upper bounds, by as many landmarks as there is room for, 2
+            bytes each a free cell, up to 1,024. None: exact, of up to 2**30 bytes a table.
+        executor: What searches from landmarks, four at once: threads, processes, a cluster's, such as Dask's
+            ``Client.get_executor()``. Any gives the same tables. Of exact ones nothing takes so long that processes
+            would gain. None: threads, which SciPy lets search one after the other.
+        checkpoint: A file in which distances from landmarks are kept as they are found, 2 bytes a free cell each.
+            Called again with the same arguments, construction goes on with what is left, even if the process was
+            killed, to the same tables and the same file. None: none.
 
     Returns:
-        The distances, a pytree.
+        The distances, a pytree. If interrupted (Ctrl-C), there are none, and ``KeyboardInterrupt`` is raised.
 
     Raises:
-        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells, its paths are
-            longer than a million steps, or it has more than 2**14 corners in passages that are so wide that distances
-            between them would not fit into memory.
+        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, its paths are longer than a million steps,
+            ``max_bytes`` has no room for one landmark, the checkpoint is of other work, or without ``max_bytes``
+            exact tables would take more bytes, or minutes.
+        OSError: If the checkpoint cannot be read or written.
 
     References:
         See ``plr_jax/pairs/GRIDS.md``.
@@ -323,19 +402,25 @@ def construct_grid_pairs(graph: CellGraph | ArrayLike, *, max_bytes: int | None 
             raise ValueError(message) from error
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
-    data = encode_grid(graph.free, graph.connectivity)
-    if max_bytes is not None:
-        require_integer("max_bytes", max_bytes, 1)
-        if len(data) > max_bytes:
-            raise ValueError(f"max_bytes must be at least {len(data)}, which this grid takes, got {max_bytes}.")
-    return _of_grid(graph.free, graph.connectivity, data)
+    executor = as_executor(executor)
+    if max_bytes is None:
+        data = encode_grid(graph.free, graph.connectivity)
+        return GridPairs(tables_of(graph.free, graph.connectivity), np.frombuffer(data, np.uint8))
+    require_integer("max_bytes", max_bytes, 1)
+    with suppress(TablesTooLarge):
+        data = encode_grid(graph.free, graph.connectivity)
+        pairs = GridPairs(tables_of(graph.free, graph.connectivity, int(max_bytes)), np.frombuffer(data, np.uint8))
+        if pairs.resident_bytes <= max_bytes:
+            return pairs
+        if not graph.free.any():
+            raise ValueError(f"max_bytes must be at least {pairs.resident_bytes} for this grid, got {max_bytes}.")
+    num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes))
+    data = encode_grid(graph.free, graph.connectivity, num_landmarks)
+    tables = landmark_tables(graph.free, graph.connectivity, num_landmarks, executor, checkpoint)
+    return GridPairs(tables, np.frombuffer(data, np.uint8))
 
 
-def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: bytes) -> GridPairs:
-    return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
-
-
-def _box_of(tables: GridTables) -> Box:
+def _box_of(tables: GridTables | LandmarkTables) -> Box:
     return Box((0, 0), tables.shape[::-1])
 
 

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
 from plr_jax._arrays import parts, runs
-from plr_jax.pairs.grid_corners import FAR, CornerLabels, CornerTable, corner_distances
+from plr_jax.pairs.grid_corners import FAR, MOST_BYTES, CornerLabels, CornerTable, corner_distances
 from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
 from plr_jax.pairs.grid_sight import Cells, IllegalSteps, looked_up, narrow, sees, sight_of
 
@@ -65,9 +65,9 @@ class GridTables:
         return self.sight.connectivity
 
 
-def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
-    """The tables of a grid."""
-    first, corners = taut_corners(free, connectivity)
+def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int = MOST_BYTES) -> GridTables:
+    """The tables of a grid; raises ``TablesTooLarge`` if one of them takes more bytes."""
+    first, corners = taut_corners(free, connectivity, most_bytes)
     first_block, blocks = _in_blocks(first, corners)
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
@@ -79,7 +79,7 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
         jnp.asarray(blocks),
         jnp.asarray(row),
         jnp.asarray(column),
-        distances=corner_distances(free, connectivity),
+        distances=corner_distances(free, connectivity, most_bytes),
     )
     return jax.tree_util.tree_map(_not_empty, tables)
 
@@ -123,8 +123,8 @@ def evaluate_pairs(
 ) -> Float[Array, "*batch"]:
     """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
     batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (cells_of(tables, points.reshape(-1, 2)) for points in (x, y))
-    return _in_steps(tables, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    return in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
 
 
 @jax.jit
@@ -132,7 +132,7 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """As :func:`evaluate_pairs`, with one cell whose distance from each corner is known."""
-    p, inside = cells_of(tables, x.reshape(-1, 2))
+    p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
@@ -142,7 +142,7 @@ def evaluate_to(
 
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
     lengths = _where_seen(tables, p, q, around.reshape(-1)[: len(p)])
-    return _in_steps(tables, lengths, inside).reshape(x.shape[:-1])
+    return in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -155,10 +155,10 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     )
 
 
-def cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
     """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
     place = jnp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < jnp.asarray(tables.shape, place.dtype)[None])).all(axis=1)
+    inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
@@ -355,10 +355,10 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
     return first, end - first
 
 
-def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
+def in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
     """Lengths of units in steps, never rounded up; ``inf`` if far, or not inside."""
-    whole, rest = jnp.divmod(length, units(tables.connectivity))
-    part = rest / units(tables.connectivity)
+    whole, rest = jnp.divmod(length, units(connectivity))
+    part = rest / units(connectivity)
     whole = whole.astype(part.dtype)
     steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
     return jnp.where(inside & (length < FAR), steps, jnp.inf)

@@ -41,6 +41,19 @@ def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Number
     return _STRAIGHT[connectivity] * straight + _DIAGONAL[connectivity] * diagonal
 
 
+class TablesTooLarge(ValueError):
+    """Tables that hold exact distances of a grid would take more bytes than allowed, or too long to make."""
+
+    def __init__(self, most_bytes: int):
+        super().__init__(most_bytes)
+
+    def __str__(self) -> str:
+        return (
+            f"The grid's obstacles have too many corners for exact tables of {self.args[0]:,} bytes: cut the map, or "
+            "give max_bytes, and where exact tables take more, or minutes, distances are proven bounds instead."
+        )
+
+
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _AT_ONCE = 2**22  # cells of runs that are listed at once
 
@@ -72,14 +85,16 @@ def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def taut_corners(
-    free: Bool[np.ndarray, "rows columns"], connectivity: int
+    free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
     """Corners that each cell sees and is taut at, with no such corner between them.
 
     Cells and corners are numbered in row-major order. Where the corners of each cell begin, and the corners, in the
-    order of their numbers.
+    order of their numbers. Raises ``TablesTooLarge`` if a byte for each is too much.
     """
     taut = _taut_runs(free, connectivity)
+    if taut.length.sum() > most_bytes:
+        raise TablesTooLarge(most_bytes)
     order = np.argsort(taut.corner, kind="stable")
     taut = _Runs(*(one[order] for one in taut))
     cells = np.empty(int(taut.length.sum()), np.int32)

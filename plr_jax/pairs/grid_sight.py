@@ -61,8 +61,12 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
             )
         ]
     flat = np.concatenate([table.ravel() for table in sums])
-    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
-    return IllegalSteps(jnp.asarray(narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
+    return IllegalSteps(jnp.asarray(narrow(flat)), jnp.asarray(bits_of(free)), free.shape, connectivity)
+
+
+def bits_of(free: Bool[np.ndarray, "rows columns"]) -> UInt32[np.ndarray, "words"]:
+    """Bits of the cells in row-major order, the lowest of a word first."""
+    return np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:

@@ -35,7 +35,7 @@ def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
     """Whole steps from each cell of the squares around the cells of positions to those of goals."""
-    (goal, goal_inside), (position, inside) = (cells_of(tables, points) for points in (goals, positions))
+    (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
     offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
     on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])

@@ -118,11 +118,54 @@ def test_files_answer_alike(rooms, pairs, answers, tmp_path):
         load(tmp_path / "cut")
 
 
-def test_a_budget_is_kept_or_refused(rooms, pairs):
-    size = pairs.num_bytes
-    assert construct_grid_pairs(rooms, max_bytes=size).num_bytes == size
-    with pytest.raises(ValueError, match=f"max_bytes must be at least {size}.*got {size - 1}"):
-        construct_grid_pairs(rooms, max_bytes=size - 1)
+def test_a_budget_is_kept_exactly_or_by_bounds_or_refused(rooms, pairs):
+    size = pairs.resident_bytes
+    assert construct_grid_pairs(rooms, max_bytes=size).to_bytes() == pairs.to_bytes()
+    assert pairs.num_landmarks == 0 < pairs.num_corners
+    bounded = construct_grid_pairs(rooms, max_bytes=size - 1)
+    assert bounded.resident_bytes < size and bounded.num_landmarks > 0 == bounded.num_corners
+    with pytest.raises(ValueError, match=r"max_bytes must be at least 142 .*got 100"):
+        construct_grid_pairs(rooms, max_bytes=100)
+    with pytest.raises(ValueError, match=r"max_bytes must be at least .* for this grid, got 3"):
+        construct_grid_pairs(drawn("##"), max_bytes=3)
+
+
+@pytest.fixture(scope="module")
+def bounded(rooms):
+    return construct_grid_pairs(rooms, max_bytes=400)
+
+
+def test_bounds_of_few_bytes_hold_and_tell_what_no_path_joins(rooms, bounded):
+    truth = rooms.between(X, Y)
+    lower, upper = (np.asarray(bound, np.float64) for bound in bounded.bounds(X, Y))
+    np.testing.assert_array_equal(lower, bounded(X, Y))
+    np.testing.assert_array_equal(lower, bounded(Y, X))
+    assert (lower <= truth).all() and (truth <= upper).all()
+    np.testing.assert_array_equal(np.isinf([lower, upper]), [np.isinf(truth)] * 2)
+    across, down = abs(X - Y).T
+    manhattan = (
+        across + down if rooms.connectivity == 4 else abs(across - down) + np.sqrt(2) * np.minimum(across, down)
+    )
+    joined = np.isfinite(truth)
+    assert (lower >= manhattan * (1 - 1e-6))[joined].all() and (lower > manhattan + 1)[joined].any()
+
+
+def test_bounds_answer_alike_everywhere(bounded, tmp_path):
+    answers = np.asarray(bounded(X, Y))
+    save(bounded, tmp_path / "rooms.pairs")
+    loaded = load(tmp_path / "rooms.pairs")
+    assert isinstance(loaded, GridPairs) and loaded.to_bytes() == bounded.to_bytes() and "landmarks" in repr(loaded)
+    np.testing.assert_array_equal(loaded(X, Y), answers)
+    np.testing.assert_array_equal(jax.jit(lambda pairs, x, y: pairs(x, y))(bounded, X, Y), answers)
+    goal, cells = np.array([3, 3]), np.argwhere(np.ones_like(ROOMS))[:, ::-1]
+    to_goal = np.asarray(bounded.to(goal)(cells))
+    np.testing.assert_array_equal(to_goal, bounded(cells, goal))
+    window = np.asarray(bounded.window([goal + 0.5, goal], [[3, 3], [-1, 0]], 9))
+    square = np.where(np.isinf(to_goal), -1, np.floor(to_goal)).reshape(8, 8)
+    np.testing.assert_array_equal(window[0], np.pad(square, ((6, 5), (6, 5)), constant_values=-1))
+    assert (window[1] == -1).all()
+    with pytest.raises(ValueError, match="C is written of exact distances"):
+        bounded.c_header("rooms")
 
 
 TEXT: Any = "here"
@@ -151,9 +194,10 @@ def test_bad_input_is_refused(pairs, call, message):
 @given(st.integers(1, 12), st.integers(1, 12), st.floats(0, 1), st.sampled_from([4, 8]))
 def test_what_is_written_is_read(rows, columns, share, connectivity):
     free = np.random.default_rng(rows + columns).random((rows, columns)) < share
-    found, found_connectivity = decode_grid(encode_grid(free, connectivity))
-    np.testing.assert_array_equal(found, free)
-    assert found_connectivity == connectivity
+    for num_landmarks in (0, 7 * int(free.any())):
+        found, *rest = decode_grid(encode_grid(free, connectivity, num_landmarks))
+        np.testing.assert_array_equal(found, free)
+        assert rest == [connectivity, num_landmarks]
 
 
 def test_layout():
@@ -162,6 +206,8 @@ def test_layout():
     bits = [0, 1] + [0] * 30 + [0] * 5 + [1] + [0, 1] + [0]
     body = np.packbits(bits, bitorder="little").tobytes()
     assert data[:-4] == b"PGP\n" + struct.pack("<BBIII", 1, 8, 3, 1, len(data)) + body
+    bounded = encode_grid(np.array([[True], [True], [False]]), 8, 5)
+    assert bounded[:-4] == b"PGP\n" + struct.pack("<BBIIII", 2, 8, 3, 1, len(data) + 4, 5) + body
 
 
 def test_no_file_is_larger_than_the_bound():
@@ -181,7 +227,10 @@ def sealed(data):
         (lambda d: b"", "does not start like"),
         (lambda d: b"PLR\n" + d[4:], "does not start like"),
         (lambda d: d[:20], "end too early"),
-        (lambda d: d[:4] + b"\2" + d[5:], "format version 2"),
+        (lambda d: d[:4] + b"\3" + d[5:], "format version 3"),
+        (lambda d: sealed(d[:4] + b"\2" + d[5:18] + bytes(4) + d[18:]), "states 0 landmarks"),
+        (lambda d: sealed(d[:4] + b"\2" + d[5:18] + d[-4:]), "end too early"),
+        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "no cell is free"),
         (lambda d: d[:-1], "truncated"),
         (lambda d: d + b"\0", "its header states"),
         (lambda d: d[:-6] + bytes([d[-6] ^ 1]) + d[-5:], "checksum"),

@@ -3,6 +3,7 @@ import pytest
 from grid_helpers import drawn
 
 from plr_jax._arrays import runs
+from plr_jax.pairs.grid_corners import MOST_BYTES
 from plr_jax.pairs.grid_sectors import corner_cells, corners_in_sight, taut_corners
 
 BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
@@ -11,7 +12,7 @@ BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
 def lists(free, connectivity):
     """Row and column of the taut corners of each cell."""
     places = np.argwhere(corner_cells(free))
-    first, corners = taut_corners(free, connectivity)
+    first, corners = taut_corners(free, connectivity, MOST_BYTES)
     cell, _ = runs(np.diff(first))
     found = {}
     for one, corner in zip(cell.tolist(), corners, strict=True):
