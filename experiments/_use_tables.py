@@ -327,22 +327,34 @@ def edges(results: dict[str, Any]) -> str:
 
 
 def scale(results: dict[str, Any]) -> str:
-    """Who builds a fleet's PLRs, and how often they were killed."""
-    table = formatted(
-        (row | {"file": row["digest"][:8], "equal": "yes" if row["same"] else "no"} for row in results["workers"]),
-        *(("workers", "{kind}"), ("files", "{file}"), ("the same", "{equal}"), ("number", "{workers}")),
-        ("s", "{seconds:.1f}"),
-        words=3,
-    )
-    kills, shares = results["kills"], sorted(row["share"] for row in results["kills"] if row["killed"])
+    """Who builds for a fleet, and how often they were killed."""
+
+    def table(rows: list[dict[str, Any]]) -> str:
+        return formatted(
+            (row | {"file": row["digest"][:8], "equal": "yes" if row["same"] else "no"} for row in rows),
+            *(("workers", "{kind}"), ("files", "{file}"), ("the same", "{equal}"), ("number", "{workers}")),
+            ("s", "{seconds:.1f}"),
+            words=3,
+        )
+
+    def resumed(kills: list[dict[str, Any]]) -> str:
+        shares = sorted(row["share"] for row in kills if row["killed"])
+        return (
+            f"processes that are killed at random moments, {len(shares)} of {len(kills)} before their end, with "
+            f"{', '.join(f'{share:.0%}' for share in shares)} "
+            f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
+        )
+
+    goals, grids = results["goals"], results["grids"]
     cones, planes = (
-        f"{goals:,} goals, files of {size:,} bytes" for goals, size in (results["cones"], results["planes"])
+        f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
     )
-    return table + (
-        f"\n{cones} of cones. Then {planes} of planes, by "
-        f"processes that are killed at random moments, {len(shares)} of {len(kills)} before their end, with "
-        f"{', '.join(f'{share:.0%}' for share in shares)} "
-        f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
+    side, megabytes = grids["side"], grids["max_bytes"] / 10**6
+    return (
+        table(goals["workers"])
+        + f"\n{cones} of cones. Then {planes} of planes, by {resumed(goals['kills'])}\n"
+        + table(grids["workers"])
+        + f"\nBounds of pairs of {side} x {side} cells in {megabytes:g} MB. Then by {resumed(grids['kills'])}"
     )
 
 

@@ -3,16 +3,18 @@
 A row of the table is one ``construct_many`` of the same oracles by workers of a kind, and whether all files are those
 of one thread. A worker of the last rows is killed half-way. Then processes build with a checkpoint, are killed at
 random moments, and others go on: is the checkpoint, which holds all files, that of a process that was left alone?
-Seconds are with the start of the workers, on two shared cores: they say nothing of what more cores gain.
+Then the same of a grid with obstacles at random, and bounds of the distances between its cells: the file, the tables
+that a query reads, and the checkpoint. Seconds are with the start of the workers, on two shared cores: they say
+nothing of what more cores gain.
 """
 
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from multiprocessing import get_context
 from multiprocessing.context import ForkServerContext
@@ -21,46 +23,57 @@ from typing import Any
 
 import numpy as np
 
-from experiments._runner import run
-from experiments._scale_work import FatalOnce, build, family, files_of
+from experiments._runner import Section, run
+from experiments._scale_work import FatalOnce, build, family, files_of, tables_of_grid
 
-SCENE, NUM_WORKERS, NUM_KILLS = "maze", (1, 2, 8), 20
+SCENE, NUM_KILLS = "maze", 20
 CONES, PLANES = ("cone", 150, 200), ("plane", 60, 512)
 """Leaves, goals, and bytes of each file: parts of several goals are for workers, of one for kills."""
+GRID = 500, 4 * 10**6
+"""Cells of a side, and bytes that a query reads."""
 _EARLIEST = 0.05  # of the time that a process takes
 
-Work = tuple[str, str, int, int, int]
+Rows = list[dict[str, Any]]
 
 
-def compute(seed: int, smoke: bool) -> dict[str, Any]:
+def goals(seed: int, smoke: bool) -> dict[str, Any]:
     cones, planes = (("cone", 70, 100), ("plane", 3, 100)) if smoke else (CONES, PLANES)
+    scene, (leaf, num_goals, max_bytes) = SCENE, cones
+    oracles, half = family(scene, num_goals, seed), num_goals // 2
+    how = {"scene": scene, "leaf": leaf, "max_bytes": max_bytes}
+    rows, expected = _workers(partial(files_of, oracles, **how), (2,) if smoke else (1, 2, 8))
     with tempfile.TemporaryDirectory() as folder:
-        workers = _workers((SCENE, *cones, seed), (2,) if smoke else NUM_WORKERS, Path(folder))
-        kills = _kills((SCENE, *planes, seed), 2 if smoke else NUM_KILLS, Path(folder), seed)
-    return {"cones": cones[1:], "planes": planes[1:], "workers": workers, "kills": kills}
+        for kind, pool in (("processes", _processes), ("Dask", _cluster)):
+            fatal = FatalOnce((0.4, 0.6), Path(folder, kind), os.getpid())
+            begun = time.perf_counter()
+            with pool(2) as executor:
+                files = files_of([*oracles[:half], fatal, *oracles[half:]], **how, executor=executor)
+            assert fatal.marker.exists()
+            rows.append(_row(f"{kind}, one killed", 2, begun, files[:half] + files[half + 1 :], expected))
+    kills = _kills(partial(build, scene, *planes, seed), 2 if smoke else NUM_KILLS, seed)
+    return {"cones": cones[1:], "planes": planes[1:], "workers": rows, "kills": kills}
 
 
-def _workers(work: Work, counts: tuple[int, ...], folder: Path) -> list[dict[str, Any]]:
-    """Every kind of workers, so many of them; then two of which one is killed."""
-    scene, leaf, goals, max_bytes, seed = work
-    oracles = family(scene, goals, seed)
-    half = goals // 2
+def grids(seed: int, smoke: bool) -> dict[str, Any]:
+    side, max_bytes = (40, 8_500) if smoke else GRID
+    made = partial(tables_of_grid, side, max_bytes, seed)
+    rows, _ = _workers(made, (2,) if smoke else (1, 2, 4))
+    kills = _kills(made, 2 if smoke else NUM_KILLS, seed)
+    return {"side": side, "max_bytes": max_bytes, "workers": rows, "kills": kills}
+
+
+def _workers(made: Callable[..., list[bytes]], counts: tuple[int, ...]) -> tuple[Rows, list[bytes]]:
+    """Every kind of workers, so many of them, and the bytes that the first made."""
     rows, expected = [], None
     for kind, pool in (("threads", ThreadPoolExecutor), ("processes", _processes), ("Dask", _cluster)):
         for count in counts:
             begun = time.perf_counter()
             with pool(count) as executor:
-                files = files_of(oracles, scene, leaf, max_bytes, executor=executor)
-            rows.append(_row(kind, count, begun, files, expected := expected or files))
-    for kind, pool in (("processes", _processes), ("Dask", _cluster)):
-        fatal = FatalOnce((0.4, 0.6), folder / kind, os.getpid())
-        begun = time.perf_counter()
-        with pool(2) as executor:
-            some = [*oracles[:half], fatal, *oracles[half:]]
-            files = files_of(some, scene, leaf, max_bytes, executor=executor)
-        assert fatal.marker.exists() and expected is not None
-        rows.append(_row(f"{kind}, one killed", 2, begun, files[:half] + files[half + 1 :], expected))
-    return rows
+                files = made(executor=executor)
+            expected = expected or files
+            rows.append(_row(kind, count, begun, files, expected))
+    assert expected is not None
+    return rows, expected
 
 
 def _row(kind: str, count: int, begun: float, files: list[bytes], expected: list[bytes]) -> dict[str, Any]:
@@ -89,23 +102,24 @@ def _cluster(count: int) -> Iterator[Executor]:
         yield client.get_executor()
 
 
-def _kills(work: Work, count: int, folder: Path, seed: int) -> list[dict[str, Any]]:
+def _kills(made: Callable[..., Any], count: int, seed: int) -> Rows:
     """Processes that are killed at moments drawn from the time that one takes, each resumed by another."""
-    begun = time.perf_counter()
-    expected, _ = _process(work, folder / "alone", np.inf)
-    whole, rows, moments = time.perf_counter() - begun, [], np.random.default_rng(seed)
-    for number in range(count):
-        path, moment = folder / f"killed {number}", moments.uniform(_EARLIEST, 1) * whole
-        at_kill, was_killed = _process(work, path, moment)
-        resumed, _ = _process(work, path, np.inf)
-        share = len(at_kill) / len(expected)
-        rows.append({"moment": moment, "killed": was_killed, "share": share, "same": resumed == expected})
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.perf_counter()
+        expected, _ = _process(made, Path(folder, "alone"), np.inf)
+        whole, rows, moments = time.perf_counter() - begun, [], np.random.default_rng(seed)
+        for number in range(count):
+            path, moment = Path(folder, f"killed {number}"), moments.uniform(_EARLIEST, 1) * whole
+            at_kill, was_killed = _process(made, path, moment)
+            resumed, _ = _process(made, path, np.inf)
+            share = len(at_kill) / len(expected)
+            rows.append({"moment": moment, "killed": was_killed, "share": share, "same": resumed == expected})
     return rows
 
 
-def _process(work: Work, path: Path, seconds: float) -> tuple[bytes, bool]:
+def _process(made: Callable[..., Any], path: Path, seconds: float) -> tuple[bytes, bool]:
     """The checkpoint after a process that is killed after so many seconds, and whether that was before its end."""
-    process = _forks().Process(target=build, args=(*work, path))
+    process = _forks().Process(target=made, kwargs={"checkpoint": path})
     process.start()
     process.join(None if seconds == np.inf else seconds)
     process.kill()
@@ -113,5 +127,7 @@ def _process(work: Work, path: Path, seconds: float) -> tuple[bytes, bool]:
     return (path.read_bytes() if path.exists() else b""), process.exitcode != 0
 
 
+SECTIONS = {each.__name__: Section(each) for each in (goals, grids)}
+
 if __name__ == "__main__":
-    run("scale", "Whoever builds a fleet's PLRs, however often killed: the same bytes.", compute)
+    run("scale", "Whoever builds for a fleet, however often killed: the same bytes.", SECTIONS)

@@ -31,6 +31,7 @@ SECTIONED = (
     "living",
     "page",
     "lifelong",
+    "scale",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -51,6 +52,7 @@ FAMILIES = {
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
     "fleets": (),
+    "scale": ("--only", "grids"),
 }
 
 
