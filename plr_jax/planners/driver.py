@@ -39,6 +39,7 @@ def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _COARSEST = 1 / 4  # tried where memory is short
+_ABREAST, _WIDEST = 4.5, 1.75  # teams as wide as so many rows through the workspace are crowds; growth of their step
 _MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
 _AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
 _SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
@@ -334,6 +335,9 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     extent = float(problem.workspace.bounds.width.max())
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
     size = min(size or _POINT_STEP * extent for size in sizes)
+    # Where many robots are under way at once, steps that leave gaps between them keep them from closing up for good.
+    abreast = sum(robot.breadth for robot in problem.robots) / math.sqrt(problem.workspace.free_space.area)
+    size *= float(np.clip(abreast / _ABREAST, 1.0, _WIDEST))
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     while step < _COARSEST * extent and (work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT

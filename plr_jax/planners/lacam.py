@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
@@ -24,6 +25,7 @@ Robots: TypeAlias = Int[np.ndarray, "m"]
 
 _WORD = 62  # bits of a NumPy integer that are safe to use
 _MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
+_ALIGNED = 1 / 8  # of the tolerance, within which a configuration counts as the center of a cell
 
 
 class Moves(NamedTuple):
@@ -59,11 +61,13 @@ class TeamMoves:
             self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
             self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.stride
         self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
+        self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in kinds]
 
     def __call__(self, state: JointNode) -> Moves:
         """The moves from a joint configuration."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, position = [], [], np.empty((self.num_robots, 2))
+        aligned = np.zeros(self.num_robots, dtype=bool)
         for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             node = state[kind.members]
             target, cost = kind.motions(node)
@@ -75,7 +79,18 @@ class TeamMoves:
             places.append(kind.table.q[node])
             ends.append(kind.table.q[target])
             position[kind.members] = places[-1][:, :2]
+            if kind.table.q.shape[1] == 2:
+                off = np.abs(ends[-1] - places[-1][:, None] - kind.table.offset).max(axis=2)
+                aligned[kind.members] = ((off < _ALIGNED * self.tolerance) | np.isinf(cost)).all(axis=1)
         for a, b, i, j in self._near(position):
+            if a == b:
+                side = self.kinds[a].table.side[:2]
+                away = position[j] - position[i]
+                cells = np.rint(away / side)
+                off = np.abs(away - cells * side).max(axis=1)
+                on_grid = aligned[i] & aligned[j] & (off < _ALIGNED * self.tolerance)
+                self._add_between_cells(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
+                i, j = i[~on_grid], j[~on_grid]
             motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
             motions_b = places[b][self.row[j]][:, None, None], ends[b][self.row[j]][:, None]
             robots = self.kinds[a].robot, self.kinds[b].robot
@@ -87,6 +102,24 @@ class TeamMoves:
                 neighbors[other].append((robot, theirs))
         return Moves(child, ranked, neighbors)
 
+    def _add_between_cells(
+        self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: list[list[tuple[int, list[Bits]]]]
+    ) -> None:
+        """Add neighbors of one kind that move between centers of cells, by how many cells they are apart."""
+        known, kind = self._between_cells[k], self.kinds[k]
+        keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
+        if new := list({*keys, *back} - known.keys()):
+            apart, moves = (np.array(new) * kind.table.side)[:, None, None], kind.table.offset
+            ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
+            # Each robot is where it would be to within an eighth of the tolerance, when it sets out and arrives.
+            collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
+            known.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
+        for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
+            ours = known[key]
+            if ours:
+                neighbors[robot].append((other, ours))
+                neighbors[other].append((robot, known[key_back]))
+
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
         """The heuristic of each robot."""
         values = np.empty(self.num_robots)
@@ -96,10 +129,12 @@ class TeamMoves:
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
         """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
-        x, y = position.T
-        dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
-        first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
+        near = np.sort(order[KDTree(position).query_pairs(2 * self.reach.max(), output_type="ndarray")], axis=1)
+        first, second = near[np.lexsort(near.T[::-1])].T % self.num_robots
+        dx, dy = (position[second] - position[first]).T
+        meet = dx * dx + dy * dy < (self.reach[first] + self.reach[second]) ** 2
+        first, second = first[meet], second[meet]
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
@@ -130,7 +165,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 #     robots are points on a graph; here they have a shape, so that one may ask several others to make way.
 
 
-_MOST_CHOICES = 20  # tried a robot, before nobody is asked to make way any more
+_MOST_FAILURES = 4  # of a robot to make way, before it is not asked any more
 
 
 class PIBT:
@@ -140,7 +175,7 @@ class PIBT:
         self.moves = moves
         self.chosen = [-1] * len(moves.ranked)
         self.allowed: list[Bits] = [-1] * len(moves.ranked)
-        self.num_left = _MOST_CHOICES * len(moves.ranked)
+        self.num_failures = [0] * len(moves.ranked)
         self._robots: list[int] = []  # in the order in which they chose
         self._changes: list[tuple[int, Bits]] = []  # to what is allowed: whom it was, and what it was
 
@@ -151,13 +186,13 @@ class PIBT:
             order: The robots, those of the highest priority first.
             constraints: Robots, and the primitives that they must choose.
         """
+        in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
                 return None
-            self._choose(robot, primitive)
-        for robot, _ in constraints:
-            if not self._make_way(robot):
-                return None
+            in_the_way += self._choose(robot, primitive)
+        if not self._make_way(in_the_way):
+            return None
         for robot in order:
             if self.chosen[robot] < 0 and not self._decide(robot):
                 return None
@@ -167,29 +202,37 @@ class PIBT:
         """Choose the best primitive for which others make way; whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
-                self.num_left -= 1
                 num_chosen, num_changes = len(self._robots), len(self._changes)
-                self._choose(robot, primitive)
-                if self._make_way(robot):
+                if self._make_way(self._choose(robot, primitive)):
                     return True
                 self._undo(num_chosen, num_changes)
         return False
 
-    def _choose(self, robot: int, primitive: int) -> None:
-        """Choose a primitive: others may no longer choose what collides with it."""
-        self.chosen[robot] = primitive
+    def _choose(self, robot: int, primitive: int) -> list[int]:
+        """Choose a primitive: others may no longer choose what collides with it. Those that can not even stay."""
+        chosen, allowed, in_the_way = self.chosen, self.allowed, []
+        chosen[robot] = primitive
         self._robots.append(robot)
         for other, collide in self.moves.neighbors[robot]:
-            if self.chosen[other] < 0 and self.allowed[other] & collide[primitive]:
-                self._changes.append((other, self.allowed[other]))
-                self.allowed[other] &= ~collide[primitive]
+            bits = collide[primitive]
+            if bits and chosen[other] < 0:
+                before = allowed[other]
+                if before & bits:
+                    self._changes.append((other, before))
+                    allowed[other] = before & ~bits
+                if not allowed[other] & 1:
+                    in_the_way.append(other)
+        return in_the_way
 
-    def _make_way(self, robot: int) -> bool:
-        """Let those choose that cannot stay beside a robot; whether all of them can."""
-        for other, _ in self.moves.neighbors[robot]:
-            in_the_way = self.chosen[other] < 0 and not self.allowed[other] & 1
-            if in_the_way and (self.num_left < 0 or not self._decide(other)):
-                return False
+    def _make_way(self, robots: list[int]) -> bool:
+        """Let those choose that cannot stay where they are; whether all of them can."""
+        for robot in robots:
+            if self.chosen[robot] < 0:
+                if self.num_failures[robot] == _MOST_FAILURES:
+                    return False
+                if not self._decide(robot):
+                    self.num_failures[robot] += 1
+                    return False
         return True
 
     def _undo(self, num_chosen: int, num_changes: int) -> None:

@@ -128,7 +128,8 @@ class Motions(NamedTuple):
         away = np.where(np.isfinite(cost), nodes[cells], num_cells + np.arange(len(ends))[:, None])
         cost[:, 0] = 0.0
         q, cost = np.concatenate([self.q[self.free], ends]), np.concatenate([self.cost[self.free], cost])
-        return MotionTable(q, np.concatenate([child, away], dtype=np.int32), cost, num_cells)
+        child, side = np.concatenate([child, away], dtype=np.int32), self.grid.side
+        return MotionTable(q, child, cost, num_cells, side, self.offsets * side)
 
     def _entries(self, ends: Configurations, nodes: Cells) -> Entries:
         """Where motions to starts, then goals, begin, and what they cost, as in :class:`Ends`."""

@@ -24,13 +24,15 @@ class MotionTable:
 
     The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own configuration at
     infinite cost. The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which
-    no primitive leads.
+    no primitive leads. From the center of a cell whose side is ``side``, a primitive leads ``offset`` away.
     """
 
     q: Float[np.ndarray, "nodes dof"]
     child: Int[np.ndarray, "nodes primitives"]
     cost: Float[np.ndarray, "nodes primitives"]
     num_cells: int
+    side: Float[np.ndarray, "dof"]
+    offset: Float[np.ndarray, "primitives dof"]
 
 
 class Ends(NamedTuple):
