@@ -39,7 +39,8 @@ def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _COARSEST = 1 / 4  # tried where memory is short
-_ABREAST, _WIDEST = 4.5, 1.75  # teams as wide as so many rows through the workspace are crowds; growth of their step
+_ABREAST, _WIDEST = 4.5, 1.75  # times as wide as the workspace, robots abreast are a crowd; growth of its step
+_PACKED = 1 / 2  # of the free area, covered by the squares around robots
 _MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
 _AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
 _SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
@@ -332,13 +333,16 @@ class _Run:
 def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool] = lambda step: True) -> float:
     """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
     # Cells about as large as the smallest robot, whose lattices have room for it to pass.
-    extent = float(problem.workspace.bounds.width.max())
+    extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
     size = min(size or _POINT_STEP * extent for size in sizes)
-    # Where many robots are under way at once, steps that leave gaps between them keep them from closing up for good.
-    abreast = sum(robot.breadth for robot in problem.robots) / math.sqrt(problem.workspace.free_space.area)
-    size *= float(np.clip(abreast / _ABREAST, 1.0, _WIDEST))
+    # Where many robots are under way at once, wider ones, as gaps narrower than a step close for good.
+    widths = np.array([robot.breadth for robot in problem.robots])
+    size *= float(np.clip(widths.sum() / math.sqrt(area) / _ABREAST, 1.0, _WIDEST))
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
+    # Robots that are packed move from place to place, one a robot, as in a sliding puzzle.
+    if (widths**2).sum() > _PACKED * area:
+        step = extent / math.floor(extent / widths.max() + _ROUNDING)
     while step < _COARSEST * extent and (work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step

@@ -8,7 +8,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
@@ -25,6 +24,7 @@ Robots: TypeAlias = Int[np.ndarray, "m"]
 
 _WORD = 62  # bits of a NumPy integer that are safe to use
 _MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
+_FEW_PAIRS = 64  # tested as soon as looked up
 _ALIGNED = 1 / 8  # of the tolerance, within which a configuration counts as the center of a cell
 
 
@@ -66,8 +66,7 @@ class TeamMoves:
     def __call__(self, state: JointNode) -> Moves:
         """The moves from a joint configuration."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
-        places, ends, position = [], [], np.empty((self.num_robots, 2))
-        aligned = np.zeros(self.num_robots, dtype=bool)
+        places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             node = state[kind.members]
             target, cost = kind.motions(node)
@@ -79,16 +78,15 @@ class TeamMoves:
             places.append(kind.table.q[node])
             ends.append(kind.table.q[target])
             position[kind.members] = places[-1][:, :2]
-            if kind.table.q.shape[1] == 2:
-                off = np.abs(ends[-1] - places[-1][:, None] - kind.table.offset).max(axis=2)
-                aligned[kind.members] = ((off < _ALIGNED * self.tolerance) | np.isinf(cost)).all(axis=1)
+            free.append(np.isfinite(cost))
         for a, b, i, j in self._near(position):
-            if a == b:
-                side = self.kinds[a].table.side[:2]
-                away = position[j] - position[i]
-                cells = np.rint(away / side)
-                off = np.abs(away - cells * side).max(axis=1)
-                on_grid = aligned[i] & aligned[j] & (off < _ALIGNED * self.tolerance)
+            if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
+                table, away = self.kinds[a].table, position[j] - position[i]
+                off = np.abs(ends[a] - places[a][:, None] - table.offset).max(axis=2, where=free[a][..., None], initial=0)
+                aligned = (off < _ALIGNED * self.tolerance).all(axis=1)
+                cells = np.rint(away / table.side)
+                on_grid = (np.abs(away - cells * table.side) < _ALIGNED * self.tolerance).all(axis=1)
+                on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
                 self._add_between_cells(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
                 i, j = i[~on_grid], j[~on_grid]
             motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
@@ -129,12 +127,10 @@ class TeamMoves:
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
         """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
+        x, y = position.T
+        dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
-        near = np.sort(order[KDTree(position).query_pairs(2 * self.reach.max(), output_type="ndarray")], axis=1)
-        first, second = near[np.lexsort(near.T[::-1])].T % self.num_robots
-        dx, dy = (position[second] - position[first]).T
-        meet = dx * dx + dy * dy < (self.reach[first] + self.reach[second]) ** 2
-        first, second = first[meet], second[meet]
+        first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))

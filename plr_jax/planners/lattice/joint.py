@@ -34,6 +34,16 @@ class MotionTable:
     side: Float[np.ndarray, "dof"]
     offset: Float[np.ndarray, "primitives dof"]
 
+    @cached_property
+    def stride(self) -> float:
+        """Largest distance that a motion translates, in workspace units."""
+        return _longest(self.q[:, None], self.q[self.child])
+
+
+def _longest(begin: Float[np.ndarray, "*#n dof"], end: Float[np.ndarray, "*#n dof"]) -> float:
+    """Largest distance between positions, 0 if there is none."""
+    return float(np.hypot(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]).max(initial=0.0))
+
 
 class Ends(NamedTuple):
     """The start and the goal of a robot, or of each of several, which stand for their cells.
@@ -100,9 +110,10 @@ class Lattice:
 
     @cached_property
     def stride(self) -> float:
-        """Largest distance that a primitive translates, in workspace units."""
-        offset = self.q[self.child] - self.q[:, None]
-        return float(np.hypot(offset[..., 0], offset[..., 1]).max())
+        """Largest distance that a primitive translates, in workspace units; those to the ends' own cells count."""
+        leads = (self.ends.begin >= 0) & np.isfinite(self.ends.cost)
+        end = np.broadcast_to(self.ends.node[:, None, None], leads.shape)[leads]
+        return max(self.table.stride, _longest(self.q[self.ends.begin[leads]], self.q[end]))
 
 
 State: TypeAlias = Int[np.ndarray, "n robots"]  # joint configurations, as indices into the robots' lattices
