@@ -110,6 +110,24 @@ def first(seed: int, smoke: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
+# The first valid path of crowds that are larger, one team of each size, and what is left of the time makes of it.
+#
+# Before each, it is planned from its goals to its starts, to the same limit: the map is known, starts and goals are
+# not.
+
+CROWDS = (200, 300, 500)
+CROWD_LIMIT = 20.0
+
+
+def crowds(seed: int, smoke: bool) -> dict[str, Any]:
+    rows, options = [], BLOptions(time_limit=1.0 if smoke else CROWD_LIMIT)
+    for size in (6,) if smoke else CROWDS:
+        known, problem = two_teams("crowd", size, seed)
+        bl_plan(known, options=options)
+        rows.append({"scene": "crowd", **planned(problem, lower_bound(problem), options)})
+    return {"rows": rows, "time_limit": options.time_limit}
+
+
 # What half a minute makes of the paths of large teams.
 #
 # Before each team, it is planned from its goals to its starts, to the first path: the motions of the map are known on
@@ -224,6 +242,7 @@ def unseen(seed: int, smoke: bool) -> dict[str, Any]:
 
 SECTIONS = {
     "first": Section(first),
+    "crowds": Section(crowds),
     "half_a_minute": Section(half_a_minute),
     "den520d": Section(den520d),
     "dbcbs_16": Section(dbcbs_16),

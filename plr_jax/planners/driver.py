@@ -338,7 +338,7 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     size = min(size or _POINT_STEP * extent for size in sizes)
     # Where many robots are under way at once, wider ones, as gaps narrower than a step close for good.
     widths = np.array([robot.breadth for robot in problem.robots])
-    size *= float(np.clip(widths.sum() / math.sqrt(area) / _ABREAST, 1.0, _WIDEST))
+    size *= float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     # Robots that are packed move from place to place, one a robot, as in a sliding puzzle.
     if (widths**2).sum() > _PACKED * area:

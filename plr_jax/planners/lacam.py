@@ -82,7 +82,9 @@ class TeamMoves:
         for a, b, i, j in self._near(position):
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
                 table, away = self.kinds[a].table, position[j] - position[i]
-                off = np.abs(ends[a] - places[a][:, None] - table.offset).max(axis=2, where=free[a][..., None], initial=0)
+                off = np.abs(ends[a] - places[a][:, None] - table.offset).max(
+                    axis=2, where=free[a][..., None], initial=0
+                )
                 aligned = (off < _ALIGNED * self.tolerance).all(axis=1)
                 cells = np.rint(away / table.side)
                 on_grid = (np.abs(away - cells * table.side) < _ALIGNED * self.tolerance).all(axis=1)
@@ -101,7 +103,12 @@ class TeamMoves:
         return Moves(child, ranked, neighbors)
 
     def _add_between_cells(
-        self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: list[list[tuple[int, list[Bits]]]]
+        self,
+        k: int,
+        i: Robots,
+        j: Robots,
+        cells: Int[np.ndarray, "m 2"],
+        neighbors: list[list[tuple[int, list[Bits]]]],
     ) -> None:
         """Add neighbors of one kind that move between centers of cells, by how many cells they are apart."""
         known, kind = self._between_cells[k], self.kinds[k]
@@ -161,6 +168,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 #     robots are points on a graph; here they have a shape, so that one may ask several others to make way.
 
 
+_MOST_CHOICES = 100  # tried a robot, before nobody is asked to make way any more
 _MOST_FAILURES = 4  # of a robot to make way, before it is not asked any more
 
 
@@ -171,6 +179,7 @@ class PIBT:
         self.moves = moves
         self.chosen = [-1] * len(moves.ranked)
         self.allowed: list[Bits] = [-1] * len(moves.ranked)
+        self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
         self._robots: list[int] = []  # in the order in which they chose
         self._changes: list[tuple[int, Bits]] = []  # to what is allowed: whom it was, and what it was
@@ -198,6 +207,7 @@ class PIBT:
         """Choose the best primitive for which others make way; whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
+                self.num_left -= 1
                 num_chosen, num_changes = len(self._robots), len(self._changes)
                 if self._make_way(self._choose(robot, primitive)):
                     return True
@@ -224,7 +234,7 @@ class PIBT:
         """Let those choose that cannot stay where they are; whether all of them can."""
         for robot in robots:
             if self.chosen[robot] < 0:
-                if self.num_failures[robot] == _MOST_FAILURES:
+                if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
                     return False
                 if not self._decide(robot):
                     self.num_failures[robot] += 1

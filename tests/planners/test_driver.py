@@ -128,6 +128,19 @@ def test_a_robot_on_its_goal_leaves_and_comes_back():
     assert away[0] == away[-1] == 0.5 and away.max() > 1.3, "the second robot waits in the bay"
 
 
+def test_packed_discs_move_from_place_to_place():
+    places = np.array([(x + 0.5, y + 0.5) for x in range(3) for y in range(3)])
+    starts, goals = places[:8], places[[7, 0, 1, 4, 8, 6, 3, 5]]
+    problem = Problem(Workspace(((0, 0), (3, 3)), []), [DiscRobot(0.5)] * 8, starts, goals)
+    assert driver.first_step(problem, 9) == 1.0
+    planned(problem)
+
+
+def test_crowds_take_wider_steps_than_a_few_robots():
+    steps = [driver.first_step(scenes.crowd(size), 9) for size in (40, 100, 200, 500)]
+    assert steps[0] == steps[1] == pytest.approx(0.4) and steps[1] < steps[2] <= steps[3] < 0.8
+
+
 def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
     lower, upper = [(4.5, 0), (5.5, 0), (5.5, 2.69), (4.5, 2.69)], [(4.5, 3.51), (5.5, 3.51), (5.5, 8.8), (4.5, 8.8)]
     workspace = Workspace(((0, 0), (10, 10)), [lower, upper])

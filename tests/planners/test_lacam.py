@@ -9,7 +9,7 @@ from team_helpers import TEAMS, search_of, team_of
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners import Status
+from plr_jax.planners import Status, lacam
 from plr_jax.planners.lacam import PIBT, Moves
 from plr_jax.planners.lattice.build import PRIMITIVES
 
@@ -75,8 +75,10 @@ def test_moves_are_those_of_each_robot_best_first(name, seed):
             assert (np.diff(scores) >= 0).all()
 
 
+@pytest.mark.parametrize("few_pairs", [0, 64], ids=["by cells", "each by itself"])
 @pytest.mark.parametrize("name", ["crowd", "mixed"])  # rooms keep robots apart
-def test_collisions_are_those_of_each_two_motions(name):
+def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
+    monkeypatch.setattr(lacam, "_FEW_PAIRS", few_pairs)
     joint, moves_of = team_of(*TEAMS[name])
     robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
     num_colliding = 0
@@ -98,7 +100,7 @@ def test_collisions_are_those_of_each_two_motions(name):
                     colliding = [q for q in moves.ranked[other] if said[p] >> q & 1]
                     assert sorted(colliding) == [q for q in np.flatnonzero(expected[p]) if q in moves.ranked[other]]
             num_colliding += collide.sum()
-    assert num_colliding > 0
+    assert num_colliding > 0 and any(moves_of._between_cells) == (few_pairs == 0 and name == "crowd")
 
 
 def test_more_primitives_than_bits_in_a_word():
@@ -170,13 +172,12 @@ def test_constraints_are_kept(seed):
         assert (step is not None) == (not collides(collide, whole))
 
 
-def test_a_step_is_found_however_many_choices_it_would_take(monkeypatch):
+def test_a_step_is_found_however_many_choices_it_would_take():
     # A clique in which every motion of one robot asks all others to make way, which none of them can.
     num = 30
     bits = [0] + [0b1] * 8
     back = [0b111111110] + [0] * 8
     neighbors = [[(j, bits if i < j else back) for j in range(num) if j != i] for i in range(num)]
     moves = Moves([list(range(9))] * num, [[*range(1, 9), 0]] * num, neighbors)
-    step, choices = PIBT(moves), []
-    monkeypatch.setattr(PIBT, "_choose", lambda *args, choose=PIBT._choose: choices.append(args) or choose(*args))
-    assert step.find(range(num), ()) is not None and len(choices) < 100 * num
+    step = PIBT(moves)
+    assert step.find(range(num), ()) is not None and step.num_left > -100 * num
