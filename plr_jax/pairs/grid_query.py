@@ -173,10 +173,12 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
     """As above, of at most so many pairs as are sorted at once."""
     seen = sees(tables.sight, p, q)
-    chunks = _sorted_chunks(*(jnp.where(seen, 0, _blocks_of(tables, cells)[1]) for cells in (p, q)))
+    first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
+    chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
     found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
     length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
-    chunks = _sorted_chunks(*(lax.population_count(blocks).astype(jnp.int32) for blocks in left))
+    first, then = (lax.population_count(blocks).astype(jnp.int32) for blocks in left)
+    chunks = _sorted_chunks(first * then)
 
     def of_chunk(chunk: Int32[Array, "size"]) -> Int32[Array, "size"]:
         ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
@@ -185,11 +187,9 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
 
-def _sorted_chunks(work: Int32[Array, "n"], more_work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
-    """Numbers of pairs, those with about as much work side by side."""
-    first, then = (jnp.minimum(one, _MOST_TOLD).astype(jnp.uint32) for one in (work, more_work))
-    place = jnp.arange(len(work), dtype=jnp.uint32)
-    key = (first * (_MOST_TOLD + 1) + then) << _SORTED_BITS | place
+def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
+    """Numbers of pairs, those with about as much work, less than 2**14, side by side."""
+    key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
     return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
@@ -277,33 +277,27 @@ def _least_of_those_left(
         word, other_word = jnp.divmod(words, others_left.words(tables))
         blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
 
-        def with_block(state: _BitsAndLength) -> _BitsAndLength:
-            block, length = state
-            corners = left.corners(tables, word, block)
-            legs = _legs(tables, left.cells, corners)
+        def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
+            bits, other_bits, length = state
+            corners, others = left.corners(tables, word, bits), others_left.corners(tables, other_word, other_bits)
+            legs, other_legs = _legs(tables, left.cells, corners), _legs(tables, others_left.cells, others)
+            between = tables.distances.between(corners[:, :, None], others[:, None])
+            way = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
+            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, way), length)
+            other_bits = other_bits & (other_bits - 1)
+            is_last = other_bits == 0
+            bits = jnp.where(is_last, bits & (bits - 1), bits)
+            return bits, jnp.where(is_last, other_blocks, other_bits), length
 
-            def with_other_block(state: _BitsAndLength) -> _BitsAndLength:
-                bits, length = state
-                others = others_left.corners(tables, other_word, bits)
-                other_legs = _legs(tables, others_left.cells, others)[:, None]
-                between = tables.distances.between(corners[:, :, None], others[:, None])
-                way = (legs[:, :, None] + between + other_legs).min(axis=(1, 2))
-                both = (block != 0) & (bits != 0)
-                return bits & (bits - 1), jnp.where(both, jnp.minimum(length, way), length)
+        def some_left(state: _BitsAndLength) -> Bool[Array, ""]:
+            return ((state[0] != 0) & (other_blocks != 0)).any()
 
-            _, length = lax.while_loop(_some_left, with_other_block, (other_blocks, length))
-            return block & (block - 1), length
-
-        return lax.while_loop(_some_left, with_block, (blocks, length))[1]
+        return lax.while_loop(some_left, with_blocks, (blocks, other_blocks, length))[2]
 
     return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
 
 
-_BitsAndLength = tuple[UInt32[Array, "n"], Int32[Array, "n"]]
-
-
-def _some_left(state: _BitsAndLength) -> Bool[Array, ""]:
-    return (state[0] != 0).any()
+_BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]]
 
 
 def _lengths_from(

@@ -5,7 +5,6 @@ distances spread over the square step by step. And along the rim distances chang
 cell: where they differ by as much as can be between two cells, those between need not be asked for.
 """
 
-from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -22,12 +21,14 @@ from plr_jax.pairs.grid_sight import is_free
 NO_WAY = -1
 """What stands for cells from which no path leads to the goal."""
 
-_AT_ONCE = 2**14  # cells asked for at once
-_AGENTS = 512  # whose squares are looked at at once
+_AT_ONCE = 2**13  # cells asked for at once
+_AGENTS = 1024  # whose squares are looked at at once
 
 # Agents are the last axis, along which processors work on many numbers at once.
 Square = Int32[Array, "width width n"]
 Rim = Int32[Array, "rim n"]
+_Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
+_Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 
 
 @partial(jax.jit, static_argnames="radius")
@@ -71,25 +72,29 @@ def _lengths_of_rim(
     """Lengths from the cells of rims to goals in units, at least ``FAR`` where there is no path."""
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
-    # What is known is so at both ends of each row of free cells.
-    place = jnp.arange(len(cells) + 1, dtype=jnp.int32)[:, None]
+    place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def closed(table: Shaped[Array, "rim n"]) -> Shaped[Array, "rim_plus_one n"]:
-        return jnp.concatenate([table, table[:1]])
+    def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+        """Place and length of the last known cell until each, or of the first from each on."""
+
+        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
+            place, length, is_known = cell
+            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
+            return nearest, nearest
+
+        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
 
     def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
         lengths, known, wanted = state
         lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
-        known_place = jnp.where(closed(known), place, -1)
-        before = lax.cummax(known_place)
-        after = lax.cummin(jnp.where(known_place < 0, len(cells), known_place), reverse=True)
-        first, last = (jnp.take_along_axis(closed(lengths), jnp.maximum(end, 0), axis=0) for end in (before, after))
-        apart = straight * (after - before)
-        is_settled = (jnp.abs(last - first) == apart) | (first >= FAR)
-        between = jnp.where(first >= FAR, FAR, first + jnp.sign(last - first) * straight * (place - before))
-        new = free & ~known & is_settled[:-1]
-        wanted = free & ~known & ~new & ((before + after) // 2 == place)[:-1]
-        return jnp.where(new, between[:-1], lengths), known | new, wanted
+        # What is free is known at both ends of each row of free cells; the rim ends where it begins.
+        before, first = nearest_known(lengths, known, (jnp.zeros_like(lengths[0]), lengths[0]), reverse=False)
+        after, last = nearest_known(lengths, known, (jnp.full_like(lengths[0], len(cells)), lengths[0]), reverse=True)
+        is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
+        from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
+        new = free & ~known & is_settled
+        wanted = free & ~known & ~new & ((before + after) // 2 == place[:, None])
+        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
 
     start = free & (jnp.asarray(is_corner)[:, None] | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
@@ -105,7 +110,10 @@ def _asked(
 ) -> Rim:
     """The lengths, and those of the wanted cells."""
     size = min(_AT_ONCE, wanted.size)
-    number = jnp.nonzero(wanted.ravel(), size=wanted.size + size, fill_value=wanted.size)[0].astype(jnp.int32)
+    behind = jnp.cumsum(wanted.ravel(), dtype=jnp.int32)
+    every = jnp.arange(wanted.size, dtype=jnp.int32)
+    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)
+    number = number.at[jnp.where(wanted.ravel(), behind - 1, len(number))].set(every, mode="drop")
     flat = cells.reshape(-1, 2)
 
     def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
@@ -117,8 +125,7 @@ def _asked(
         found = lengths_between_cells(tables, start, end)
         return lengths.at[asked].set(found, mode="drop")
 
-    count = wanted.sum(dtype=jnp.int32)
-    return lax.fori_loop(0, -(-count // size), with_some, lengths.ravel()).reshape(lengths.shape)
+    return lax.fori_loop(0, -(-behind[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
 
 
 def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
@@ -137,26 +144,36 @@ def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "widt
 def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
     """Lengths over the squares from where they are known, at least ``FAR`` where no path leads to."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
-    width = len(lengths)
+    turns = (-1, 1) if connectivity == 8 else ()
 
-    def beside(
-        table: Shaped[Array, "width width n"], border: int
-    ) -> Callable[[int, int], Shaped[Array, "width width n"]]:
-        around = jnp.pad(table, ((1, 1), (1, 1), (0, 0)), constant_values=border)
-        return lambda down, right: around[1 + down : 1 + down + width, 1 + right : 1 + right + width]
+    def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
+        return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
-    turns = [(down, right) for down in (-1, 1) for right in (-1, 1)] if connectivity == 8 else []
-    is_free_beside = beside(free, False)
-    is_legal = {(down, right): is_free_beside(down, 0) & is_free_beside(0, right) for down, right in turns}
+    def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
+        """Lengths with those that steps from row to row lead to."""
+
+        def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
+            (last_row, last_free), (row, is_free) = last, here
+            row = jnp.minimum(row, last_row + straight)
+            for right in turns:
+                is_legal = last_free & beside(is_free, False, right)
+                row = jnp.minimum(row, jnp.where(is_legal, beside(last_row, FAR, right) + diagonal, FAR))
+            row = jnp.where(is_free, row, FAR)
+            return (row, is_free), row
+
+        border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
+        return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
+
+    across = free.swapaxes(0, 1)
 
     def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
-        lengths, _ = state
-        of_neighbor, best = beside(lengths, FAR), lengths
-        for way in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            best = jnp.minimum(best, of_neighbor(*way) + straight)
-        for way in turns:
-            best = jnp.minimum(best, jnp.where(is_legal[way], of_neighbor(*way) + diagonal, FAR))
-        best = jnp.where(free, best, FAR)
-        return best, (best < lengths).any()
+        best = state[0]
+        for reverse in (False, True):
+            best = swept(best, free, turns, reverse)
+        best = best.swapaxes(0, 1)
+        for reverse in (False, True):
+            best = swept(best, across, (), reverse)
+        best = best.swapaxes(0, 1)
+        return best, (best < state[0]).any()
 
     return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]

@@ -3,6 +3,7 @@ import pytest
 
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax._arrays import runs
+from plr_jax.pairs.grid_corners import MOST_BYTES
 from plr_jax.pairs.grid_query import BLOCK, tables_of
 from plr_jax.pairs.grid_sectors import taut_corners
 
@@ -11,7 +12,7 @@ from plr_jax.pairs.grid_sectors import taut_corners
 def test_blocks_of_a_cell_hold_its_corners(connectivity):
     free = np.random.default_rng(0).random((20, 30)) > 0.2
     tables = tables_of(free, connectivity)
-    first, corners = taut_corners(free, connectivity)
+    first, corners = taut_corners(free, connectivity, MOST_BYTES)
     begin = np.asarray(tables.group_block)[np.arange(free.size + 1) // 16] + np.asarray(tables.cell_block)
     cell, place = runs(np.diff(first))
     blocks = np.asarray(tables.blocks)
@@ -32,5 +33,5 @@ def test_cells_with_more_corners_than_a_word_has_bits(connectivity):
         np.repeat(cells[rng.integers(len(cells), size=30)], 500, axis=0),
         cells[rng.integers(len(cells), size=15_000)],
     )
-    assert np.diff(taut_corners(free, connectivity)[0]).max() > 32 * BLOCK
+    assert np.diff(taut_corners(free, connectivity, MOST_BYTES)[0]).max() > 32 * BLOCK
     np.testing.assert_allclose(construct_grid_pairs(graph)(x, y), graph.between(x, y), rtol=1e-6)
