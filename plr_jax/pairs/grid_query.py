@@ -2,8 +2,8 @@
 
 Cells have from none to dozens of corners, and a pair takes the product of two such numbers. But no path over a
 corner is shorter than the open way over it: once a way is known, over the corners whose open way is the shortest,
-most others need not be looked at. Pairs are sorted by how many blocks of corners their cells have, and again by how
-many are left, and taken in chunks of pairs of about as many.
+most others need not be looked at. Pairs are sorted by how many blocks of corners their cells have, then by how many
+pairs of blocks are left, and taken in chunks of pairs of about as many.
 """
 
 from collections.abc import Callable
@@ -298,12 +298,6 @@ def _least_of_those_left(
 
 
 _BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]]
-
-
-def _lengths_from(
-    tables: GridTables, corner: Int32[Array, "n"]
-) -> Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]]:
-    return lambda corners: tables.distances.between(corner[:, None], corners)
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:

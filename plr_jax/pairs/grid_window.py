@@ -45,7 +45,10 @@ def distances_around(
 
     around = _around(radius)
     cells = jnp.stack([row[around], column[around]], axis=-1)
-    lengths = _lengths_of_rim(tables, cells, free[around], goal, np.arange(len(around[0])) % max(2 * radius, 1) == 0)
+    # The corners toward the goal and away from it: mostly what is between them is so far that it needs no asking.
+    turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
+    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
     reached = _spread_in_parts(tables.connectivity, jnp.where(free, known, FAR), free)
@@ -67,7 +70,7 @@ def _lengths_of_rim(
     cells: Int32[Array, "rim n 2"],
     free: Bool[Array, "rim n"],
     goal: Int32[Array, "n 2"],
-    is_corner: Bool[np.ndarray, "rim"],
+    asked_first: Bool[Array, "rim n"],
 ) -> Rim:
     """Lengths from the cells of rims to goals in units, at least ``FAR`` where there is no path."""
     straight = int(open_length(tables.connectivity, 0, 1))
@@ -88,15 +91,17 @@ def _lengths_of_rim(
         lengths, known, wanted = state
         lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
         # What is free is known at both ends of each row of free cells; the rim ends where it begins.
-        before, first = nearest_known(lengths, known, (jnp.zeros_like(lengths[0]), lengths[0]), reverse=False)
-        after, last = nearest_known(lengths, known, (jnp.full_like(lengths[0], len(cells)), lengths[0]), reverse=True)
+        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
+        at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
+        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
         is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
         from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
         new = free & ~known & is_settled
-        wanted = free & ~known & ~new & ((before + after) // 2 == place[:, None])
+        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
 
-    start = free & (jnp.asarray(is_corner)[:, None] | beside_blocked)
+    start = free & (asked_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
@@ -110,10 +115,12 @@ def _asked(
 ) -> Rim:
     """The lengths, and those of the wanted cells."""
     size = min(_AT_ONCE, wanted.size)
-    behind = jnp.cumsum(wanted.ravel(), dtype=jnp.int32)
-    every = jnp.arange(wanted.size, dtype=jnp.int32)
-    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)
-    number = number.at[jnp.where(wanted.ravel(), behind - 1, len(number))].set(every, mode="drop")
+    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
+    none = jnp.zeros_like(lengths[0])
+    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
+    end = jnp.cumsum(count)
+    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # agent by agent
+    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
     flat = cells.reshape(-1, 2)
 
     def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
@@ -121,11 +128,11 @@ def _asked(
         of = jnp.minimum(asked, wanted.size - 1)
         start = goal[of % len(goal)]
         # Behind the last are cells that see themselves, which takes next to no time.
-        end = jnp.where((asked < wanted.size)[:, None], flat[of], start)
-        found = lengths_between_cells(tables, start, end)
+        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
+        found = lengths_between_cells(tables, *ends)
         return lengths.at[asked].set(found, mode="drop")
 
-    return lax.fori_loop(0, -(-behind[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
+    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
 
 
 def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
