@@ -220,8 +220,8 @@ def _tables(parts: _Parts, lengths: UInt16[np.ndarray, "free landmarks"], step: 
     free = bits_of(parts.grid.free)
     in_word = np.bitwise_count(free).astype(np.int32)
     before, part = np.cumsum(in_word, dtype=np.int32) - in_word, narrow(parts.part)
-    arrays = (jnp.asarray(table) for table in (free, before, part, lengths))
-    return LandmarkTables(*arrays, parts.grid.shape, parts.grid.connectivity, step)
+    tables = jnp.asarray(free), jnp.asarray(before), jnp.asarray(part), jnp.asarray(lengths)
+    return LandmarkTables(*tables, parts.grid.shape, parts.grid.connectivity, step)
 
 
 @partial(jax.jit, static_argnames="above")
