@@ -4,7 +4,6 @@ import os
 import struct
 import zlib
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass
 
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
+from plr_jax.pairs.grid_corners import MOST_BYTES
 from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_landmarks import (
     MOST_LANDMARKS,
@@ -371,8 +371,8 @@ def construct_grid_pairs(
         graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
             free, ``(rows, columns)``, of a 4-connected one.
         max_bytes: Most bytes of the arrays that a query reads (``resident_bytes``); the file has the map alone. If
-            exact tables take more, there are lower and upper bounds, by as many landmarks as there is room for, 2
-            bytes each a free cell, up to 1,024. None: exact, of up to 2**30 bytes a table.
+            exact tables take more, or one of them more than 2**30, there are lower and upper bounds, by as many
+            landmarks as there is room for, 2 bytes each a free cell, up to 1,024. None: exact.
         executor: What searches from landmarks, four at once: threads, processes, a cluster's, such as Dask's
             ``Client.get_executor()``. Any gives the same tables. Of exact ones nothing takes so long that processes
             would gain. None: threads, which SciPy lets search one after the other.
@@ -403,17 +403,20 @@ def construct_grid_pairs(
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     executor = as_executor(executor)
-    if max_bytes is None:
-        data = encode_grid(graph.free, graph.connectivity)
-        return GridPairs(tables_of(graph.free, graph.connectivity), np.frombuffer(data, np.uint8))
-    require_integer("max_bytes", max_bytes, 1)
-    with suppress(TablesTooLarge):
-        data = encode_grid(graph.free, graph.connectivity)
-        pairs = GridPairs(tables_of(graph.free, graph.connectivity, int(max_bytes)), np.frombuffer(data, np.uint8))
-        if pairs.resident_bytes <= max_bytes:
+    most_bytes = MOST_BYTES
+    if max_bytes is not None:
+        require_integer("max_bytes", max_bytes, 1)
+        most_bytes = min(int(max_bytes), MOST_BYTES)
+    try:
+        tables = tables_of(graph.free, graph.connectivity, most_bytes)
+        pairs = GridPairs(tables, np.frombuffer(encode_grid(graph.free, graph.connectivity), np.uint8))
+        if max_bytes is None or pairs.resident_bytes <= max_bytes:
             return pairs
         if not graph.free.any():
             raise ValueError(f"max_bytes must be at least {pairs.resident_bytes} for this grid, got {max_bytes}.")
+    except TablesTooLarge:
+        if max_bytes is None:
+            raise
     num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes))
     data = encode_grid(graph.free, graph.connectivity, num_landmarks)
     tables = landmark_tables(graph.free, graph.connectivity, num_landmarks, executor, checkpoint)

@@ -130,6 +130,11 @@ def test_a_budget_is_kept_exactly_or_by_bounds_or_refused(rooms, pairs):
         construct_grid_pairs(drawn("##"), max_bytes=3)
 
 
+def test_no_table_is_larger_than_those_that_files_are_read_to_have(rooms, monkeypatch):
+    monkeypatch.setattr("plr_jax.pairs.grid_pairs.MOST_BYTES", 100)
+    assert construct_grid_pairs(rooms, max_bytes=10**30).num_landmarks > 0
+
+
 @pytest.fixture(scope="module")
 def bounded(rooms):
     return construct_grid_pairs(rooms, max_bytes=400)
