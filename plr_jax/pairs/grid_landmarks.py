@@ -128,6 +128,7 @@ def landmark_tables(
                 table[:, number] = np.frombuffer(done.results[number] or b"", "<u2")
                 nearest = np.minimum(nearest, step * table[:, number].astype(np.int32))
             score = nearest
+    done.finish()
     _steps.cache_clear()
     return _tables(parts, table, step)
 

@@ -10,6 +10,7 @@ from grid_helpers import dijkstra, mosaic
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax.pairs.grid_landmarks import LandmarkTables, landmark_tables, landmarks_within
 from plr_jax.pairs.grid_sectors import units
+from plr_jax.plr._checkpoint import Checkpoint
 
 FREE = mosaic(3, 3, 9)
 NUM = 9
@@ -95,12 +96,23 @@ def test_what_is_cut_short_goes_on_to_the_same_tables_and_file(expected, tmp_pat
         with pytest.raises(KeyboardInterrupt):
             landmark_tables(FREE, 4, NUM, Ends(left, KeyboardInterrupt()), cut)
         assert len(cut.read_bytes()) < len(whole.read_bytes())
-        tables_equal(landmark_tables(FREE, 4, NUM, None, cut), expected)
+        rest = Ends(NUM - left, RuntimeError("more is searched for than was left"))
+        tables_equal(landmark_tables(FREE, 4, NUM, rest, cut), expected)
         assert cut.read_bytes() == whole.read_bytes()
         cut.unlink()
     tables_equal(landmark_tables(FREE, 4, NUM, Ends(2, BrokenExecutor("a worker died"))), expected)
     with pytest.raises(ValueError, match="checkpoint of other work"):
         landmark_tables(FREE, 4, NUM + 1, checkpoint=whole)
+
+
+def test_what_is_whole_is_searched_for_no_more_and_written_once(expected, tmp_path, monkeypatch):
+    landmark_tables(FREE, 4, NUM, checkpoint=tmp_path / "whole")
+    written = []
+    monkeypatch.setattr(Checkpoint, "finish", lambda checkpoint: written.append(len(checkpoint.records)))
+    tables_equal(
+        landmark_tables(FREE, 4, NUM, Ends(0, RuntimeError("there was nothing left")), tmp_path / "whole"), expected
+    )
+    assert written == [NUM]
 
 
 def test_room_is_used_and_no_more():
