@@ -241,7 +241,7 @@ def bounds_around(
 ) -> Int32[Array, "n width width"]:
     """Lower bounds of the steps to goals from squares of cells around positions; -1 where there is no path."""
     (position, inside), (goal, goal_inside) = (cells_of(tables.shape, points) for points in (positions, goals))
-    offsets = np.moveaxis(np.indices((2 * radius + 1, 2 * radius + 1)) - radius, 0, -1)
+    offsets = jnp.asarray(np.moveaxis(np.indices((2 * radius + 1, 2 * radius + 1)) - radius, 0, -1), jnp.int32)
     cells = position[:, None, None] + offsets
     in_grid = ((cells >= 0) & (cells < jnp.asarray(tables.shape))).all(axis=-1)
     goal = jnp.broadcast_to(goal[:, None, None], cells.shape)

@@ -169,6 +169,8 @@ def test_bounds_answer_alike_everywhere(bounded, tmp_path):
     square = np.where(np.isinf(to_goal), -1, np.floor(to_goal)).reshape(8, 8)
     np.testing.assert_array_equal(window[0], np.pad(square, ((6, 5), (6, 5)), constant_values=-1))
     assert (window[1] == -1).all()
+    with jax.enable_x64(True):
+        assert bounded.window([goal], [goal], 1).dtype == jnp.int32
     with pytest.raises(ValueError, match="C is written of exact distances"):
         bounded.c_header("rooms")
 
