@@ -69,17 +69,19 @@ class LandmarkTables:
         return self.lengths.shape[1]
 
 
-def landmarks_within(free: Bool[np.ndarray, "rows columns"], connectivity: int, max_bytes: int) -> int:
-    """How many landmarks there is room for; raises ``ValueError`` if there is none for one.
+def landmarks_within(
+    free: Bool[np.ndarray, "rows columns"], connectivity: int, max_bytes: int, exact_bytes: int | None = None
+) -> int:
+    """How many landmarks there is room for; raises ``ValueError`` if there is none for one, saying what is enough.
 
-    Of a grid with a free cell.
+    Of a grid with a free cell. Of open land exact tables may take less than one landmark.
     """
     parts = _Parts.of(_Grid.of(free, connectivity))
     without = _tables(parts, np.zeros((len(parts.part), 0), np.uint16), 1)
     of_each, others = 2 * len(parts.part), sum(table.nbytes for table in jax.tree_util.tree_leaves(without))
     if others + of_each > max_bytes:
-        least = others + of_each
-        raise ValueError(f"max_bytes must be at least {least} for bounds of this grid's distances, got {max_bytes}.")
+        least = min(others + of_each, exact_bytes or others + of_each)
+        raise ValueError(f"max_bytes must be at least {least} for this grid, got {max_bytes}.")
     return int(min((max_bytes - others) // of_each, np.diff(parts.first).max(), MOST_LANDMARKS))
 
 

@@ -385,8 +385,8 @@ def construct_grid_pairs(
 
     Raises:
         ValueError: If ``graph`` is no grid, or has more than 2**22 cells, its paths are longer than a million steps,
-            ``max_bytes`` has no room for one landmark, the checkpoint is of other work, or without ``max_bytes``
-            exact tables would take more bytes, or minutes.
+            ``max_bytes`` has room for neither exact tables nor one landmark, the checkpoint is of other work, or
+            without ``max_bytes`` exact tables would take more bytes, or minutes.
         OSError: If the checkpoint cannot be read or written.
 
     References:
@@ -403,21 +403,22 @@ def construct_grid_pairs(
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     executor = as_executor(executor)
-    most_bytes = MOST_BYTES
+    most_bytes, exact_bytes = MOST_BYTES, None
     if max_bytes is not None:
         require_integer("max_bytes", max_bytes, 1)
         most_bytes = min(int(max_bytes), MOST_BYTES)
     try:
         tables = tables_of(graph.free, graph.connectivity, most_bytes)
         pairs = GridPairs(tables, np.frombuffer(encode_grid(graph.free, graph.connectivity), np.uint8))
-        if max_bytes is None or pairs.resident_bytes <= max_bytes:
+        exact_bytes = pairs.resident_bytes
+        if max_bytes is None or exact_bytes <= max_bytes:
             return pairs
         if not graph.free.any():
-            raise ValueError(f"max_bytes must be at least {pairs.resident_bytes} for this grid, got {max_bytes}.")
+            raise ValueError(f"max_bytes must be at least {exact_bytes} for this grid, got {max_bytes}.")
     except TablesTooLarge:
         if max_bytes is None:
             raise
-    num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes))
+    num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes), exact_bytes)
     data = encode_grid(graph.free, graph.connectivity, num_landmarks)
     tables = landmark_tables(graph.free, graph.connectivity, num_landmarks, executor, checkpoint)
     return GridPairs(tables, np.frombuffer(data, np.uint8))

@@ -128,6 +128,9 @@ def test_a_budget_is_kept_exactly_or_by_bounds_or_refused(rooms, pairs):
         construct_grid_pairs(rooms, max_bytes=100)
     with pytest.raises(ValueError, match=r"max_bytes must be at least .* for this grid, got 3"):
         construct_grid_pairs(drawn("##"), max_bytes=3)
+    least = construct_grid_pairs(np.ones((9, 9), bool)).resident_bytes  # less than one landmark takes
+    with pytest.raises(ValueError, match=rf"max_bytes must be at least {least} for this grid, got {least - 1}"):
+        construct_grid_pairs(np.ones((9, 9), bool), max_bytes=least - 1)
 
 
 def test_no_table_is_larger_than_those_that_files_are_read_to_have(rooms, monkeypatch):
