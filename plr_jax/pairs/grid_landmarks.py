@@ -264,7 +264,7 @@ def _bounds_between_cells(tables: LandmarkTables, p: Cells, q: Cells, above: boo
         to_a, to_b = (looked_up(tables.lengths, cell).astype(jnp.int32) for cell in (a, b))
         if above:
             length = tables.step * (to_a + to_b).min(axis=1) + 2 * (tables.step - 1)
-            length = jnp.where((p == q).all(axis=1), 0, length)
+            length = jnp.where((p == q).all(axis=1), 0, jnp.minimum(length, FAR - 1))  # no path is as long
         else:
             length = tables.step * jnp.abs(to_a - to_b).max(axis=1) - (tables.step - 1)
             length = jnp.maximum(length, open_length(tables.connectivity, *jnp.abs(p - q).T))

@@ -8,7 +8,7 @@ import pytest
 from grid_helpers import dijkstra, mosaic
 
 from plr_jax import GridGraph, construct_grid_pairs
-from plr_jax.pairs.grid_landmarks import LandmarkTables, landmark_tables, landmarks_within
+from plr_jax.pairs.grid_landmarks import LandmarkTables, evaluate_bounds, landmark_tables, landmarks_within
 from plr_jax.pairs.grid_sectors import units
 from plr_jax.plr._checkpoint import Checkpoint
 
@@ -55,6 +55,15 @@ def test_long_paths_are_kept_in_16_bits_and_bounds_hold():
     lower, upper = pairs.bounds(x, y)
     assert truth.max() > 2**16 and (lower <= truth).all() and (truth <= upper).all()
     assert (truth - lower).max() <= 2 * (pairs.tables.step - 1)  # a landmark is at an end of the path
+
+
+def test_upper_bounds_of_the_longest_paths_are_finite():
+    rows = 500_000
+    free = np.ones((rows, 3), bool)
+    free[1:, 1] = False
+    tables = landmark_tables(free, 8, 1)
+    x, y = np.array([[0.0, rows - 1]]), np.array([[0.0, rows - 2]])  # at the one end, and the landmark at the other
+    assert np.isfinite(evaluate_bounds(tables, x, y, above=True)).all()
 
 
 def test_a_step_changes_a_bound_by_no_more():
