@@ -384,9 +384,10 @@ def construct_grid_pairs(
         The distances, a pytree. If interrupted (Ctrl-C), there are none, and ``KeyboardInterrupt`` is raised.
 
     Raises:
-        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, its paths are longer than a million steps,
-            ``max_bytes`` has room for neither exact tables nor one landmark, the checkpoint is of other work, or
-            without ``max_bytes`` exact tables would take more bytes, or minutes.
+        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, paths of an 8-connected one are longer than
+            a million steps, or may be longer than half a million where distances are bounds, ``max_bytes`` has room
+            for neither exact tables nor one landmark, the checkpoint is of other work, or without ``max_bytes`` exact
+            tables would take more bytes, or minutes.
         OSError: If the checkpoint cannot be read or written.
 
     References:

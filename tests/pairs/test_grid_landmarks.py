@@ -64,6 +64,8 @@ def test_upper_bounds_of_the_longest_paths_are_finite():
     tables = landmark_tables(free, 8, 1)
     x, y = np.array([[0.0, rows - 1]]), np.array([[0.0, rows - 2]])  # at the one end, and the landmark at the other
     assert np.isfinite(evaluate_bounds(tables, x, y, above=True)).all()
+    with pytest.raises(ValueError, match="are too long"):
+        landmark_tables(np.ones((1, 600_000), bool), 8, 1)
 
 
 def test_a_step_changes_a_bound_by_no_more():
