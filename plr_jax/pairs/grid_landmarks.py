@@ -12,7 +12,9 @@ References:
 """
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from hashlib import sha256
@@ -26,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt16, UInt
 from tqdm import tqdm
 
 import plr_jax
-from plr_jax.pairs.grid_corners import FAR
+from plr_jax.pairs.grid_corners import FAR, MOST_BYTES
 from plr_jax.pairs.grid_query import cells_of, in_steps
 from plr_jax.pairs.grid_sectors import open_length, units
 from plr_jax.pairs.grid_sight import Cells, bits_of, looked_up, narrow
@@ -81,10 +83,21 @@ def landmarks_within(
     of_each, others = 2 * len(parts.part), sum(table.nbytes for table in jax.tree_util.tree_leaves(without))
     if others + of_each > max_bytes:
         least = min(others + of_each, exact_bytes or others + of_each)
+        _steps.cache_clear()
         raise ValueError(f"max_bytes must be at least {least} for this grid, got {max_bytes}.")
-    return int(min((max_bytes - others) // of_each, np.diff(parts.first).max(), MOST_LANDMARKS))
+    return int(min((min(max_bytes, MOST_BYTES) - others) // of_each, np.diff(parts.first).max(), MOST_LANDMARKS))
 
 
+@contextmanager
+def _letting_go() -> Iterator[None]:
+    """However it ends, legal steps are kept no longer."""
+    try:
+        yield
+    finally:
+        _steps.cache_clear()
+
+
+@_letting_go()
 def landmark_tables(
     free: Bool[np.ndarray, "rows columns"],
     connectivity: int,
@@ -131,7 +144,6 @@ def landmark_tables(
                 nearest = np.minimum(nearest, step * table[:, number].astype(np.int32))
             score = nearest
     done.finish()
-    _steps.cache_clear()
     return _tables(parts, table, step)
 
 

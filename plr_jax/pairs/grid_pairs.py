@@ -26,6 +26,7 @@ from plr_jax.pairs.grid_landmarks import (
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, TablesTooLarge
 from plr_jax.pairs.grid_window import distances_around
+from plr_jax.plr._checkpoint import require_path
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
 from plr_jax.plr.sampling.asked import as_executor
@@ -92,8 +93,8 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int, int
     if not body.at_end():
         raise ValueError("it holds more data than its cells need")
     free = np.logical_xor.accumulate(differs, axis=0)
-    if num_landmarks and not free.any():
-        raise ValueError("it states landmarks, and no cell is free")
+    if num_landmarks and not 0 < 2 * num_landmarks * np.count_nonzero(free) <= MOST_BYTES:
+        raise ValueError(f"it states {num_landmarks} landmarks of {np.count_nonzero(free)} free cells")
     return free, connectivity, num_landmarks
 
 
@@ -152,7 +153,8 @@ class GridPairs:
 
     Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
     quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
-    from it when it is loaded, in as much time as building took: a second, or some of two million cells. On
+    from it when it is loaded, in as much time as building took: a second, or some of two million cells; with
+    landmarks, as their searches take one after the other. On
     4-connected grids answers are exact. On 8-connected ones they are as exact as 32-bit floats, always rounded down,
     by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
     proof.
@@ -190,7 +192,7 @@ class GridPairs:
             y: Points that broadcast against them.
 
         Returns:
-            Distances, ``(...)``, as default floats of JAX. ``inf`` if no path joins the cells, one is blocked, or
+            Distances, ``(...)``. ``inf`` if no path joins the cells, one is blocked, or
             a point is outside the grid or has a NaN.
 
         Raises:
@@ -260,7 +262,7 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Distances to one cell, several times as fast a query.
+        """Distances to one cell, several times as fast a query where they are exact.
 
         Args:
             goal: A point of the cell, ``(2,)``.
@@ -378,7 +380,7 @@ def construct_grid_pairs(
             would gain. None: threads, which SciPy lets search one after the other.
         checkpoint: A file in which distances from landmarks are kept as they are found, 2 bytes a free cell each.
             Called again with the same arguments, construction goes on with what is left, even if the process was
-            killed, to the same tables and the same file. None: none.
+            killed, to the same tables and the same file. Of exact tables nothing is kept. None: none.
 
     Returns:
         The distances, a pytree. If interrupted (Ctrl-C), there are none, and ``KeyboardInterrupt`` is raised.
@@ -403,6 +405,8 @@ def construct_grid_pairs(
             raise ValueError(message) from error
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
+    if checkpoint is not None:
+        require_path(checkpoint)
     executor = as_executor(executor)
     most_bytes, exact_bytes = MOST_BYTES, None
     if max_bytes is not None:
@@ -416,6 +420,7 @@ def construct_grid_pairs(
             return pairs
         if not graph.free.any():
             raise ValueError(f"max_bytes must be at least {exact_bytes} for this grid, got {max_bytes}.")
+        del tables, pairs
     except TablesTooLarge:
         if max_bytes is None:
             raise

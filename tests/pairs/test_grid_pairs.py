@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -178,7 +178,7 @@ def test_bounds_answer_alike_everywhere(bounded, tmp_path):
         bounded.c_header("rooms")
 
 
-TEXT: Any = "here"
+TEXT, TYPE = cast(Any, "here"), cast(Any, 3)
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -193,6 +193,7 @@ TEXT: Any = "here"
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
         (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
         (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), max_bytes=0), "max_bytes must be an integer >= 1"),
+        (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), checkpoint=TYPE), "checkpoint must be the path of a file"),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],
 )
@@ -240,7 +241,8 @@ def sealed(data):
         (lambda d: d[:4] + b"\3" + d[5:], "format version 3"),
         (lambda d: sealed(d[:4] + b"\2" + d[5:18] + bytes(4) + d[18:]), "states 0 landmarks"),
         (lambda d: sealed(d[:4] + b"\2" + d[5:18] + d[-4:]), "end too early"),
-        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "no cell is free"),
+        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "states 1 landmarks of 0 free cells"),
+        (lambda d: encode_grid(np.ones((2048, 2048), bool), 4, 1024), "1024 landmarks of 4194304 free cells"),
         (lambda d: d[:-1], "truncated"),
         (lambda d: d + b"\0", "its header states"),
         (lambda d: d[:-6] + bytes([d[-6] ^ 1]) + d[-5:], "checksum"),
