@@ -17,7 +17,7 @@ def facts_of(held: Any) -> dict[str, Any]:
         "periodic_axes": [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic],
         "num_bytes": held.num_bytes,
     }
-    names = ["label", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
+    names = ["label", "num_leaves", "num_unreachable", "num_corners", "num_landmarks", "depth", "max_error"]
     facts |= {name: getattr(held, name) for name in names if hasattr(held, name)}
     if not is_plr:  # whose tables may take long to make
         return facts
@@ -41,6 +41,8 @@ def lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield "bytes", f"{facts['num_bytes']:,} in the file, {facts['resident_bytes']:,} in memory"
     else:
         yield "corners", f"{facts['num_corners']:,}"
+        if facts.get("num_landmarks"):
+            yield "landmarks", f"{facts['num_landmarks']:,}, by which distances are bounds"
         yield "bytes", f"{facts['num_bytes']:,} in the file"
     for part in facts.get("coarser", ()):
         leaves = f"{part['num_leaves']:,} leaves, proof {_proof_of(part)}"

@@ -12,7 +12,9 @@ References:
 """
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from hashlib import sha256
@@ -26,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt16, UInt
 from tqdm import tqdm
 
 import plr_jax
-from plr_jax.pairs.grid_corners import FAR
+from plr_jax.pairs.grid_corners import FAR, MOST_BYTES
 from plr_jax.pairs.grid_query import cells_of, in_steps
 from plr_jax.pairs.grid_sectors import open_length, units
 from plr_jax.pairs.grid_sight import Cells, bits_of, looked_up, narrow
@@ -69,20 +71,33 @@ class LandmarkTables:
         return self.lengths.shape[1]
 
 
-def landmarks_within(free: Bool[np.ndarray, "rows columns"], connectivity: int, max_bytes: int) -> int:
-    """How many landmarks there is room for; raises ``ValueError`` if there is none for one.
+def landmarks_within(
+    free: Bool[np.ndarray, "rows columns"], connectivity: int, max_bytes: int, exact_bytes: int | None = None
+) -> int:
+    """How many landmarks there is room for; raises ``ValueError`` if there is none for one, saying what is enough.
 
-    Of a grid with a free cell.
+    Of a grid with a free cell. Of open land exact tables may take less than one landmark.
     """
     parts = _Parts.of(_Grid.of(free, connectivity))
     without = _tables(parts, np.zeros((len(parts.part), 0), np.uint16), 1)
     of_each, others = 2 * len(parts.part), sum(table.nbytes for table in jax.tree_util.tree_leaves(without))
     if others + of_each > max_bytes:
-        least = others + of_each
-        raise ValueError(f"max_bytes must be at least {least} for bounds of this grid's distances, got {max_bytes}.")
-    return int(min((max_bytes - others) // of_each, np.diff(parts.first).max(), MOST_LANDMARKS))
+        least = min(others + of_each, exact_bytes or others + of_each)
+        _steps.cache_clear()
+        raise ValueError(f"max_bytes must be at least {least} for this grid, got {max_bytes}.")
+    return int(min((min(max_bytes, MOST_BYTES) - others) // of_each, np.diff(parts.first).max(), MOST_LANDMARKS))
 
 
+@contextmanager
+def _letting_go() -> Iterator[None]:
+    """However it ends, legal steps are kept no longer."""
+    try:
+        yield
+    finally:
+        _steps.cache_clear()
+
+
+@_letting_go()
 def landmark_tables(
     free: Bool[np.ndarray, "rows columns"],
     connectivity: int,
@@ -128,7 +143,7 @@ def landmark_tables(
                 table[:, number] = np.frombuffer(done.results[number] or b"", "<u2")
                 nearest = np.minimum(nearest, step * table[:, number].astype(np.int32))
             score = nearest
-    _steps.cache_clear()
+    done.finish()
     return _tables(parts, table, step)
 
 
@@ -240,7 +255,7 @@ def bounds_around(
 ) -> Int32[Array, "n width width"]:
     """Lower bounds of the steps to goals from squares of cells around positions; -1 where there is no path."""
     (position, inside), (goal, goal_inside) = (cells_of(tables.shape, points) for points in (positions, goals))
-    offsets = np.moveaxis(np.indices((2 * radius + 1, 2 * radius + 1)) - radius, 0, -1)
+    offsets = jnp.asarray(np.moveaxis(np.indices((2 * radius + 1, 2 * radius + 1)) - radius, 0, -1), jnp.int32)
     cells = position[:, None, None] + offsets
     in_grid = ((cells >= 0) & (cells < jnp.asarray(tables.shape))).all(axis=-1)
     goal = jnp.broadcast_to(goal[:, None, None], cells.shape)
@@ -261,7 +276,7 @@ def _bounds_between_cells(tables: LandmarkTables, p: Cells, q: Cells, above: boo
         to_a, to_b = (looked_up(tables.lengths, cell).astype(jnp.int32) for cell in (a, b))
         if above:
             length = tables.step * (to_a + to_b).min(axis=1) + 2 * (tables.step - 1)
-            length = jnp.where((p == q).all(axis=1), 0, length)
+            length = jnp.where((p == q).all(axis=1), 0, jnp.minimum(length, FAR - 1))  # no path is as long
         else:
             length = tables.step * jnp.abs(to_a - to_b).max(axis=1) - (tables.step - 1)
             length = jnp.maximum(length, open_length(tables.connectivity, *jnp.abs(p - q).T))

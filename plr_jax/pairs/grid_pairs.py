@@ -4,7 +4,6 @@ import os
 import struct
 import zlib
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass
 
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
+from plr_jax.pairs.grid_corners import MOST_BYTES
 from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_landmarks import (
     MOST_LANDMARKS,
@@ -26,6 +26,7 @@ from plr_jax.pairs.grid_landmarks import (
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, TablesTooLarge
 from plr_jax.pairs.grid_window import distances_around
+from plr_jax.plr._checkpoint import require_path
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import GRID_MAGIC
 from plr_jax.plr.sampling.asked import as_executor
@@ -92,8 +93,8 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int, int
     if not body.at_end():
         raise ValueError("it holds more data than its cells need")
     free = np.logical_xor.accumulate(differs, axis=0)
-    if num_landmarks and not free.any():
-        raise ValueError("it states landmarks, and no cell is free")
+    if num_landmarks and not 0 < 2 * num_landmarks * np.count_nonzero(free) <= MOST_BYTES:
+        raise ValueError(f"it states {num_landmarks} landmarks of {np.count_nonzero(free)} free cells")
     return free, connectivity, num_landmarks
 
 
@@ -152,7 +153,8 @@ class GridPairs:
 
     Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
     quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
-    from it when it is loaded, in as much time as building took: a second, or some of two million cells. On
+    from it when it is loaded, in as much time as building took: a second, or some of two million cells; with
+    landmarks, as their searches take one after the other. On
     4-connected grids answers are exact. On 8-connected ones they are as exact as 32-bit floats, always rounded down,
     by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
     proof.
@@ -190,7 +192,7 @@ class GridPairs:
             y: Points that broadcast against them.
 
         Returns:
-            Distances, ``(...)``, as default floats of JAX. ``inf`` if no path joins the cells, one is blocked, or
+            Distances, ``(...)``. ``inf`` if no path joins the cells, one is blocked, or
             a point is outside the grid or has a NaN.
 
         Raises:
@@ -260,7 +262,7 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Distances to one cell, several times as fast a query.
+        """Distances to one cell, several times as fast a query where they are exact.
 
         Args:
             goal: A point of the cell, ``(2,)``.
@@ -371,22 +373,23 @@ def construct_grid_pairs(
         graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
             free, ``(rows, columns)``, of a 4-connected one.
         max_bytes: Most bytes of the arrays that a query reads (``resident_bytes``); the file has the map alone. If
-            exact tables take more, there are lower and upper bounds, by as many landmarks as there is room for, 2
-            bytes each a free cell, up to 1,024. None: exact, of up to 2**30 bytes a table.
+            exact tables take more, or one of them more than 2**30, there are lower and upper bounds, by as many
+            landmarks as there is room for, 2 bytes each a free cell, up to 1,024. None: exact.
         executor: What searches from landmarks, four at once: threads, processes, a cluster's, such as Dask's
             ``Client.get_executor()``. Any gives the same tables. Of exact ones nothing takes so long that processes
             would gain. None: threads, which SciPy lets search one after the other.
         checkpoint: A file in which distances from landmarks are kept as they are found, 2 bytes a free cell each.
             Called again with the same arguments, construction goes on with what is left, even if the process was
-            killed, to the same tables and the same file. None: none.
+            killed, to the same tables and the same file. Of exact tables nothing is kept. None: none.
 
     Returns:
         The distances, a pytree. If interrupted (Ctrl-C), there are none, and ``KeyboardInterrupt`` is raised.
 
     Raises:
-        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, its paths are longer than a million steps,
-            ``max_bytes`` has no room for one landmark, the checkpoint is of other work, or without ``max_bytes``
-            exact tables would take more bytes, or minutes.
+        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, paths of an 8-connected one are longer than
+            a million steps, or may be longer than half a million where distances are bounds, ``max_bytes`` has room
+            for neither exact tables nor one landmark, the checkpoint is of other work, or without ``max_bytes`` exact
+            tables would take more bytes, or minutes.
         OSError: If the checkpoint cannot be read or written.
 
     References:
@@ -402,19 +405,26 @@ def construct_grid_pairs(
             raise ValueError(message) from error
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
+    if checkpoint is not None:
+        require_path(checkpoint)
     executor = as_executor(executor)
-    if max_bytes is None:
-        data = encode_grid(graph.free, graph.connectivity)
-        return GridPairs(tables_of(graph.free, graph.connectivity), np.frombuffer(data, np.uint8))
-    require_integer("max_bytes", max_bytes, 1)
-    with suppress(TablesTooLarge):
-        data = encode_grid(graph.free, graph.connectivity)
-        pairs = GridPairs(tables_of(graph.free, graph.connectivity, int(max_bytes)), np.frombuffer(data, np.uint8))
-        if pairs.resident_bytes <= max_bytes:
+    most_bytes, exact_bytes = MOST_BYTES, None
+    if max_bytes is not None:
+        require_integer("max_bytes", max_bytes, 1)
+        most_bytes = min(int(max_bytes), MOST_BYTES)
+    try:
+        tables = tables_of(graph.free, graph.connectivity, most_bytes)
+        pairs = GridPairs(tables, np.frombuffer(encode_grid(graph.free, graph.connectivity), np.uint8))
+        exact_bytes = pairs.resident_bytes
+        if max_bytes is None or exact_bytes <= max_bytes:
             return pairs
         if not graph.free.any():
-            raise ValueError(f"max_bytes must be at least {pairs.resident_bytes} for this grid, got {max_bytes}.")
-    num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes))
+            raise ValueError(f"max_bytes must be at least {exact_bytes} for this grid, got {max_bytes}.")
+        del tables, pairs
+    except TablesTooLarge:
+        if max_bytes is None:
+            raise
+    num_landmarks = landmarks_within(graph.free, graph.connectivity, int(max_bytes), exact_bytes)
     data = encode_grid(graph.free, graph.connectivity, num_landmarks)
     tables = landmark_tables(graph.free, graph.connectivity, num_landmarks, executor, checkpoint)
     return GridPairs(tables, np.frombuffer(data, np.uint8))

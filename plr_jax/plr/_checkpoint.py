@@ -26,6 +26,12 @@ _RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, bytes, checksum
 _NUM_POINTS = 256  # at which distance functions are told apart
 
 
+def require_path(checkpoint: object) -> None:
+    """``ValueError`` unless it names a file."""
+    if not isinstance(checkpoint, str | os.PathLike):
+        raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(checkpoint)}.")
+
+
 class Checkpoint:
     """The file of some work.
 
@@ -42,8 +48,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
-        if not isinstance(path, str | os.PathLike):
-            raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(path)}.")
+        require_path(path)
         self._path, self._head, self.records = Path(path), _MAGIC + digest, dict[bytes, bytes]()
         data = b""
         with suppress(FileNotFoundError):
@@ -53,8 +58,8 @@ class Checkpoint:
             if not head.startswith(_MAGIC):
                 raise ValueError(f"{path} is no checkpoint: choose another path.")
             raise ValueError(
-                f"{path} is the checkpoint of other work: its distance functions, domain, options or release were "
-                "others. Choose another path, or delete it to begin anew."
+                f"{path} is the checkpoint of other work: its distance functions or grid, domain, options or release "
+                "were others. Choose another path, or delete it to begin anew."
             )
         self._end = self._read(data) if len(head) == len(self._head) else 0
         if not self._end:

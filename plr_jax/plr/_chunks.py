@@ -40,7 +40,7 @@ class Done:
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
         """Build chunks; what a pool does not finish because a worker of it dies, by threads of this process.
 
-        When the last part is done, the checkpoint is put in order. If interrupted (Ctrl-C), what is done is here.
+        If interrupted (Ctrl-C), what is done is here.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:
@@ -48,6 +48,9 @@ class Done:
             self._build_by(threads, left, progress)
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
+
+    def finish(self) -> None:
+        """Put the checkpoint in order, once all parts are done."""
         if self.checkpoint is not None and self.count == len(self.results):
             self.checkpoint.finish()
 

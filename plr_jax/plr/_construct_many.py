@@ -137,6 +137,7 @@ def construct_many(
     ) as progress:
         try:
             done.build(chunks, executor, progress)
+            done.finish()
         except KeyboardInterrupt:
             message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)

@@ -8,8 +8,9 @@ import pytest
 from grid_helpers import dijkstra, mosaic
 
 from plr_jax import GridGraph, construct_grid_pairs
-from plr_jax.pairs.grid_landmarks import LandmarkTables, landmark_tables, landmarks_within
+from plr_jax.pairs.grid_landmarks import LandmarkTables, evaluate_bounds, landmark_tables, landmarks_within
 from plr_jax.pairs.grid_sectors import units
+from plr_jax.plr._checkpoint import Checkpoint
 
 FREE = mosaic(3, 3, 9)
 NUM = 9
@@ -56,6 +57,17 @@ def test_long_paths_are_kept_in_16_bits_and_bounds_hold():
     assert (truth - lower).max() <= 2 * (pairs.tables.step - 1)  # a landmark is at an end of the path
 
 
+def test_upper_bounds_of_the_longest_paths_are_finite():
+    rows = 500_000
+    free = np.ones((rows, 3), bool)
+    free[1:, 1] = False
+    tables = landmark_tables(free, 8, 1)
+    x, y = np.array([[0.0, rows - 1]]), np.array([[0.0, rows - 2]])  # at the one end, and the landmark at the other
+    assert np.isfinite(evaluate_bounds(tables, x, y, above=True)).all()
+    with pytest.raises(ValueError, match="are too long"):
+        landmark_tables(np.ones((1, 600_000), bool), 8, 1)
+
+
 def test_a_step_changes_a_bound_by_no_more():
     pairs = construct_grid_pairs(FREE, max_bytes=4_000)
     assert isinstance(pairs.tables, LandmarkTables) and pairs.tables.step == 1
@@ -95,12 +107,23 @@ def test_what_is_cut_short_goes_on_to_the_same_tables_and_file(expected, tmp_pat
         with pytest.raises(KeyboardInterrupt):
             landmark_tables(FREE, 4, NUM, Ends(left, KeyboardInterrupt()), cut)
         assert len(cut.read_bytes()) < len(whole.read_bytes())
-        tables_equal(landmark_tables(FREE, 4, NUM, None, cut), expected)
+        rest = Ends(NUM - left, RuntimeError("more is searched for than was left"))
+        tables_equal(landmark_tables(FREE, 4, NUM, rest, cut), expected)
         assert cut.read_bytes() == whole.read_bytes()
         cut.unlink()
     tables_equal(landmark_tables(FREE, 4, NUM, Ends(2, BrokenExecutor("a worker died"))), expected)
     with pytest.raises(ValueError, match="checkpoint of other work"):
         landmark_tables(FREE, 4, NUM + 1, checkpoint=whole)
+
+
+def test_what_is_whole_is_searched_for_no_more_and_written_once(expected, tmp_path, monkeypatch):
+    landmark_tables(FREE, 4, NUM, checkpoint=tmp_path / "whole")
+    written = []
+    monkeypatch.setattr(Checkpoint, "finish", lambda checkpoint: written.append(len(checkpoint.records)))
+    tables_equal(
+        landmark_tables(FREE, 4, NUM, Ends(0, RuntimeError("there was nothing left")), tmp_path / "whole"), expected
+    )
+    assert written == [NUM]
 
 
 def test_room_is_used_and_no_more():

@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -128,6 +128,14 @@ def test_a_budget_is_kept_exactly_or_by_bounds_or_refused(rooms, pairs):
         construct_grid_pairs(rooms, max_bytes=100)
     with pytest.raises(ValueError, match=r"max_bytes must be at least .* for this grid, got 3"):
         construct_grid_pairs(drawn("##"), max_bytes=3)
+    least = construct_grid_pairs(np.ones((9, 9), bool)).resident_bytes  # less than one landmark takes
+    with pytest.raises(ValueError, match=rf"max_bytes must be at least {least} for this grid, got {least - 1}"):
+        construct_grid_pairs(np.ones((9, 9), bool), max_bytes=least - 1)
+
+
+def test_no_table_is_larger_than_those_that_files_are_read_to_have(rooms, monkeypatch):
+    monkeypatch.setattr("plr_jax.pairs.grid_pairs.MOST_BYTES", 100)
+    assert construct_grid_pairs(rooms, max_bytes=10**30).num_landmarks > 0
 
 
 @pytest.fixture(scope="module")
@@ -164,11 +172,13 @@ def test_bounds_answer_alike_everywhere(bounded, tmp_path):
     square = np.where(np.isinf(to_goal), -1, np.floor(to_goal)).reshape(8, 8)
     np.testing.assert_array_equal(window[0], np.pad(square, ((6, 5), (6, 5)), constant_values=-1))
     assert (window[1] == -1).all()
+    with jax.enable_x64(True):
+        assert bounded.window([goal], [goal], 1).dtype == jnp.int32
     with pytest.raises(ValueError, match="C is written of exact distances"):
         bounded.c_header("rooms")
 
 
-TEXT: Any = "here"
+TEXT, TYPE = cast(Any, "here"), cast(Any, 3)
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -183,6 +193,7 @@ TEXT: Any = "here"
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
         (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
         (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), max_bytes=0), "max_bytes must be an integer >= 1"),
+        (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), checkpoint=TYPE), "checkpoint must be the path of a file"),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],
 )
@@ -230,7 +241,8 @@ def sealed(data):
         (lambda d: d[:4] + b"\3" + d[5:], "format version 3"),
         (lambda d: sealed(d[:4] + b"\2" + d[5:18] + bytes(4) + d[18:]), "states 0 landmarks"),
         (lambda d: sealed(d[:4] + b"\2" + d[5:18] + d[-4:]), "end too early"),
-        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "no cell is free"),
+        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "states 1 landmarks of 0 free cells"),
+        (lambda d: encode_grid(np.ones((2048, 2048), bool), 4, 1024), "1024 landmarks of 4194304 free cells"),
         (lambda d: d[:-1], "truncated"),
         (lambda d: d + b"\0", "its header states"),
         (lambda d: d[:-6] + bytes([d[-6] ^ 1]) + d[-5:], "checksum"),
