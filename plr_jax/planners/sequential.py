@@ -78,7 +78,7 @@ class CornerRoadmap:
         hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
         # It is within both pairs of sides of a box at a time.
         rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
-        rate[rate == 0] = _STILL
+        rate[np.abs(rate) < _STILL] = _STILL
         when, share = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
         enter, leave = when - share, when + share
         enter, leave = np.maximum(enter[:num], enter[num:]), np.minimum(leave[:num], leave[num:])
@@ -173,11 +173,11 @@ def sequential_path(problem: Problem) -> Path | None:
 
     Returns:
         The path, in each row of which one robot has moved; None if none is found, or the team is not of up to 8 discs
-        among up to 48 walls.
+        without a heading, larger than the tolerance, among up to 48 walls.
     """
     robots, workspace = problem.robots, problem.workspace
-    are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > 0 for robot in robots)
-    if not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
+    are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
+    if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
     journeys: list[Any] = [None] * len(robots)
     for radius in {robot.rounding for robot in robots}:
