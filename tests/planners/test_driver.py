@@ -26,6 +26,7 @@ from plr_jax import (
     Status,
     Workspace,
     bl_plan,
+    replan,
     robot_distance_fns,
     scenes,
     straight_line,
@@ -134,6 +135,22 @@ def test_packed_discs_move_from_place_to_place():
     problem = Problem(Workspace(((0, 0), (3, 3)), []), [DiscRobot(0.5)] * 8, starts, goals)
     assert driver.first_step(problem, 9) == 1.0
     planned(problem)
+
+
+def test_small_robots_beside_large_ones_have_a_lattice_of_their_size():
+    robots, starts = [DiscRobot(3.65), DiscRobot(0.3)], [(5, 3.65), (0.5, 0.5)]
+    before = Problem(ROOM, robots, starts, [(5, 3.65), (0.5, 9.5)])
+    problem = Problem(ROOM, robots, starts, [(5, 3.65), (9.5, 0.5)])
+    assert driver.first_step(problem, 9) == 0.3
+    solution = replan(problem, bl_plan(before), 0.0, standing=[0])
+    assert solution.stats.found_by == "replan" and validate(problem, solution.path).valid
+
+
+def test_a_robot_may_be_wider_than_its_workspace_by_the_tolerance():
+    workspace = Workspace(((1e10, 1e10), (1e10 + 1, 1e10 + 1)))
+    start, goal = (1e10 + 0.5, 1e10 + 0.5), (1e10 + 0.501, 1e10 + 0.5)
+    problem = Problem(workspace, [DiscRobot(0.5 + workspace.tolerance / 2)], [start], [goal])
+    assert driver.first_step(problem, 9) == 1.0
 
 
 def test_crowds_take_wider_steps_than_a_few_robots():
