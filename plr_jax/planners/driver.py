@@ -113,11 +113,13 @@ def bl_plan(
     began = time.perf_counter()
     run = _Run(problem, heuristic, options, began)
     try:
-        status = run.in_turn()
-        if status is None:
-            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
-                status = run.until_done()
-        run.set_out_early()
+        try:
+            status = run.in_turn()
+            if status is None:
+                with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
+                    status = run.until_done()
+        finally:  # interrupted or not
+            run.set_out_early()
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     budget, best = run.budget, run.incumbent

@@ -375,6 +375,21 @@ def test_an_interrupted_planner_returns_what_it_has():
         assert len(solution.samples) == max(solution.stats.num_nodes, 1)
 
 
+def test_discs_that_were_to_go_one_after_the_other_set_out_early_when_interrupted(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    problem = scenes.four_rooms(4)
+    early = planned(problem, max_expansions=1)
+    with monkeypatch.context() as patched:
+        patched.setattr(driver, "first_step", interrupted)
+        solution = planned(problem)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
+    monkeypatch.setattr(driver, "side_by_side", interrupted)
+    solution = planned(problem, max_expansions=1)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
+
+
 def test_interrupting_the_lazy_search_keeps_its_nodes(monkeypatch):
     find, calls = PIBT.find, []
 
