@@ -169,7 +169,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 _MOST_CHOICES = 100  # tried a robot, before nobody is asked to make way any more
-_MOST_FAILURES = 4  # of a robot to make way, before it is not asked any more
+_MOST_FAILURES = 8  # of a robot to make way, before it is not asked any more
 
 
 class PIBT:
