@@ -30,6 +30,7 @@ _MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattices are as soon there, and som
 _WIDEST = 2.0  # turn at a tip of a wall above which a way around it has two corners
 _LEAST_COSINE = 1e-3  # of half a turn, so that narrow corners are not at infinity
 _STILL = 1e-200  # stands for a velocity of 0, by which can be divided
+_COMPLEX = np.array([1, 1j])  # numbers instead of points, whose arithmetic is quick where there are a few
 _DEPARTURES = 32  # times at which a robot may set out that are tried at most, but for the last one
 
 Points = Float[np.ndarray, "n 2"]
@@ -92,7 +93,7 @@ class CornerRoadmap:
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[num:].reshape(2, num, size)
         to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
-        places = as_complex(ends)
+        places = (ends @ _COMPLEX).tolist()
         columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
         return [Journey(self, *of_one) for of_one in zip(*columns, strict=True)]
 
@@ -106,7 +107,7 @@ class CornerRoadmap:
     @cached_property
     def places(self) -> list[complex]:
         """Where its center is there, as complex numbers."""
-        return as_complex(self.q)
+        return (self.q @ _COMPLEX).tolist()
 
 
 _kept = lru_cache(maxsize=16)(CornerRoadmap)
@@ -260,11 +261,6 @@ def _meets(way: Way, place: complex, reach: float) -> bool:
         if abs(offset - min(max(share, 0.0), 1.0) * rate) < reach:
             return True
     return False
-
-
-def as_complex(q: Points) -> list[complex]:
-    """Points as complex numbers, whose arithmetic is quick where there are a few."""
-    return [complex(x, y) for x, y in q.tolist()]
 
 
 def _reaches(problem: Problem) -> Reaches:
