@@ -340,7 +340,10 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     size = min(size or _POINT_STEP * extent for size in sizes)
     # Where many robots are under way at once, wider ones, as gaps narrower than a step close for good.
     widths = np.array([robot.breadth for robot in problem.robots])
-    size *= float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
+    wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
+    # At a door they would do so as well: none may be narrower, for the centers of robots, than such a step.
+    if wide > size and problem.workspace.free_space.buffer(-(widths.max() + wide) / 2).geom_type == "Polygon":
+        size = wide
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     # Robots that are packed move from place to place, one a robot, as in a sliding puzzle: all of them, or small ones
     # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.

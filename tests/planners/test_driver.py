@@ -156,6 +156,11 @@ def test_a_robot_may_be_wider_than_its_workspace_by_the_tolerance():
 def test_crowds_take_wider_steps_than_a_few_robots():
     steps = [driver.first_step(scenes.crowd(size), 9) for size in (40, 100, 200, 500)]
     assert steps[0] == steps[1] == pytest.approx(0.4) and steps[1] < steps[2] <= steps[3] < 0.8
+    halls = Workspace(((0, 0), (31, 15)), [shapely.box(15, 0, 16, 6.9), shapely.box(15, 8.1, 16, 15)])
+    places = [(1 + 1.4 * i, 1 + 1.44 * j) for i in range(10) for j in range(10)]
+    places += [(31 - x, y) for x, y in places]
+    problem = Problem(halls, [DiscRobot(0.4)] * 200, places, places[::-1])
+    assert driver.first_step(problem, 9) == 0.4, "the door is narrower than a wider step leaves it open"
 
 
 def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
