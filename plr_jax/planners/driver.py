@@ -40,7 +40,7 @@ def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _COARSEST = 1 / 4  # tried where memory is short
 _ABREAST, _WIDEST = 4.5, 1.75  # times as wide as the workspace, robots abreast are a crowd; growth of its step
-_PACKED = 1 / 2  # of the free area, covered by the squares around robots
+_PACKED = 1 / 2  # of the free area, covered by squares as wide as the smallest robot, one for each
 _MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
 _AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
 _SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
@@ -113,11 +113,13 @@ def bl_plan(
     began = time.perf_counter()
     run = _Run(problem, heuristic, options, began)
     try:
-        status = run.in_turn()
-        if status is None:
-            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
-                status = run.until_done()
-        run.set_out_early()
+        try:
+            status = run.in_turn()
+            if status is None:
+                with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
+                    status = run.until_done()
+        finally:  # interrupted or not
+            run.set_out_early()
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     budget, best = run.budget, run.incumbent
@@ -338,11 +340,15 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     size = min(size or _POINT_STEP * extent for size in sizes)
     # Where many robots are under way at once, wider ones, as gaps narrower than a step close for good.
     widths = np.array([robot.breadth for robot in problem.robots])
-    size *= float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
+    wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
+    # At a door they would do so as well: none may be narrower, for the centers of robots, than such a step.
+    if wide > size and problem.workspace.free_space.buffer(-(widths.max() + wide) / 2).geom_type == "Polygon":
+        size = wide
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
-    # Robots that are packed move from place to place, one a robot, as in a sliding puzzle.
-    if (widths**2).sum() > _PACKED * area:
-        step = extent / math.floor(extent / widths.max() + _ROUNDING)
+    # Robots that are packed move from place to place, one a robot, as in a sliding puzzle: all of them, or small ones
+    # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
+    if len(widths) * widths.min() ** 2 > _PACKED * area:
+        step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
     while step < _COARSEST * extent and (work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step

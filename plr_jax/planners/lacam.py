@@ -25,7 +25,7 @@ Robots: TypeAlias = Int[np.ndarray, "m"]
 _WORD = 62  # bits of a NumPy integer that are safe to use
 _MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
 _FEW_PAIRS = 64  # tested as soon as looked up
-_ALIGNED = 1 / 8  # of the tolerance, within which a configuration counts as the center of a cell
+_ALIGNED = 1 / 16  # of the tolerance, within which a configuration counts as the center of a cell
 
 
 class Moves(NamedTuple):
@@ -116,7 +116,7 @@ class TeamMoves:
         if new := list({*keys, *back} - known.keys()):
             apart, moves = (np.array(new) * kind.table.side)[:, None, None], kind.table.offset
             ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
-            # Each robot is where it would be to within an eighth of the tolerance, when it sets out and arrives.
+            # What places and ends are off adds up to less than half the tolerance: 3/16 of it along each axis.
             collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
             known.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
@@ -169,7 +169,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 _MOST_CHOICES = 100  # tried a robot, before nobody is asked to make way any more
-_MOST_FAILURES = 4  # of a robot to make way, before it is not asked any more
+_MOST_FAILURES = 8  # of a robot to make way, before it is not asked any more
 
 
 class PIBT:

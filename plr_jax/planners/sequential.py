@@ -30,6 +30,7 @@ _MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattices are as soon there, and som
 _WIDEST = 2.0  # turn at a tip of a wall above which a way around it has two corners
 _LEAST_COSINE = 1e-3  # of half a turn, so that narrow corners are not at infinity
 _STILL = 1e-200  # stands for a velocity of 0, by which can be divided
+_COMPLEX = np.array([1, 1j])  # numbers instead of points, whose arithmetic is quick where there are a few
 _DEPARTURES = 32  # times at which a robot may set out that are tried at most, but for the last one
 
 Points = Float[np.ndarray, "n 2"]
@@ -78,7 +79,7 @@ class CornerRoadmap:
         hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
         # It is within both pairs of sides of a box at a time.
         rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
-        rate[rate == 0] = _STILL
+        rate[np.abs(rate) < _STILL] = _STILL
         when, share = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
         enter, leave = when - share, when + share
         enter, leave = np.maximum(enter[:num], enter[num:]), np.minimum(leave[:num], leave[num:])
@@ -92,7 +93,7 @@ class CornerRoadmap:
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[num:].reshape(2, num, size)
         to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
-        places = as_complex(ends)
+        places = (ends @ _COMPLEX).tolist()
         columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
         return [Journey(self, *of_one) for of_one in zip(*columns, strict=True)]
 
@@ -106,7 +107,7 @@ class CornerRoadmap:
     @cached_property
     def places(self) -> list[complex]:
         """Where its center is there, as complex numbers."""
-        return as_complex(self.q)
+        return (self.q @ _COMPLEX).tolist()
 
 
 _kept = lru_cache(maxsize=16)(CornerRoadmap)
@@ -173,11 +174,11 @@ def sequential_path(problem: Problem) -> Path | None:
 
     Returns:
         The path, in each row of which one robot has moved; None if none is found, or the team is not of up to 8 discs
-        among up to 48 walls.
+        without a heading, larger than the tolerance, among up to 48 walls.
     """
     robots, workspace = problem.robots, problem.workspace
-    are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > 0 for robot in robots)
-    if not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
+    are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
+    if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
     journeys: list[Any] = [None] * len(robots)
     for radius in {robot.rounding for robot in robots}:
@@ -260,11 +261,6 @@ def _meets(way: Way, place: complex, reach: float) -> bool:
         if abs(offset - min(max(share, 0.0), 1.0) * rate) < reach:
             return True
     return False
-
-
-def as_complex(q: Points) -> list[complex]:
-    """Points as complex numbers, whose arithmetic is quick where there are a few."""
-    return [complex(x, y) for x, y in q.tolist()]
 
 
 def _reaches(problem: Problem) -> Reaches:

@@ -26,6 +26,7 @@ from plr_jax import (
     Status,
     Workspace,
     bl_plan,
+    replan,
     robot_distance_fns,
     scenes,
     straight_line,
@@ -136,9 +137,30 @@ def test_packed_discs_move_from_place_to_place():
     planned(problem)
 
 
+def test_small_robots_beside_large_ones_have_a_lattice_of_their_size():
+    robots, starts = [DiscRobot(3.65), DiscRobot(0.3)], [(5, 3.65), (0.5, 0.5)]
+    before = Problem(ROOM, robots, starts, [(5, 3.65), (0.5, 9.5)])
+    problem = Problem(ROOM, robots, starts, [(5, 3.65), (9.5, 0.5)])
+    assert driver.first_step(problem, 9) == 0.3
+    solution = replan(problem, bl_plan(before), 0.0, standing=[0])
+    assert solution.stats.found_by == "replan" and validate(problem, solution.path).valid
+
+
+def test_a_robot_may_be_wider_than_its_workspace_by_the_tolerance():
+    workspace = Workspace(((1e10, 1e10), (1e10 + 1, 1e10 + 1)))
+    start, goal = (1e10 + 0.5, 1e10 + 0.5), (1e10 + 0.501, 1e10 + 0.5)
+    problem = Problem(workspace, [DiscRobot(0.5 + workspace.tolerance / 2)], [start], [goal])
+    assert driver.first_step(problem, 9) == 1.0
+
+
 def test_crowds_take_wider_steps_than_a_few_robots():
     steps = [driver.first_step(scenes.crowd(size), 9) for size in (40, 100, 200, 500)]
     assert steps[0] == steps[1] == pytest.approx(0.4) and steps[1] < steps[2] <= steps[3] < 0.8
+    halls = Workspace(((0, 0), (31, 15)), [shapely.box(15, 0, 16, 6.9), shapely.box(15, 8.1, 16, 15)])
+    places = [(1 + 1.4 * i, 1 + 1.44 * j) for i in range(10) for j in range(10)]
+    places += [(31 - x, y) for x, y in places]
+    problem = Problem(halls, [DiscRobot(0.4)] * 200, places, places[::-1])
+    assert driver.first_step(problem, 9) == 0.4, "the door is narrower than a wider step leaves it open"
 
 
 def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
@@ -356,6 +378,21 @@ def test_an_interrupted_planner_returns_what_it_has():
         solution = bl_plan(DOOR, Interruption(at), BLOptions(searchers=("bl",), step=0.5))
         assert solution.status is Status.INTERRUPTED and not solution.solved
         assert len(solution.samples) == max(solution.stats.num_nodes, 1)
+
+
+def test_discs_that_were_to_go_one_after_the_other_set_out_early_when_interrupted(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    problem = scenes.four_rooms(4)
+    early = planned(problem, max_expansions=1)
+    with monkeypatch.context() as patched:
+        patched.setattr(driver, "first_step", interrupted)
+        solution = planned(problem)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
+    monkeypatch.setattr(driver, "side_by_side", interrupted)
+    solution = planned(problem, max_expansions=1)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
 def test_interrupting_the_lazy_search_keeps_its_nodes(monkeypatch):

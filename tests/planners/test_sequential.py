@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import shapely
 from planner_helpers import ROOM, exact, hallway
+from robot_helpers import AnyShape
 
 from plr_jax import DiscRobot, PointRobot, Problem, Workspace, bl_plan, makespan, scenes, validate
 from plr_jax._problem import path_cost
@@ -43,6 +44,14 @@ def test_ways_are_free_where_shapely_says_so(name):
     np.testing.assert_array_equal(free[clear], distance[clear] > radius)
     assert name == "empty" or 0.1 < free.mean() < 0.98
     assert free[~clear].all(), "what slides along walls and around corners touches"
+
+
+def test_a_way_that_turns_off_by_less_than_any_share_of_it_hits_the_wall():
+    workspace = Workspace(((-5, -5), (5, 5)), [shapely.box(-2, -1, 3, 1)])
+    roadmap = CornerRoadmap(workspace, 0.4)
+    for x in (0.0, 5e-324, 1e-310, -1e-250, 1e-150):
+        assert not roadmap.is_free(np.array([(0.0, -4.0)]), np.array([(x, 4.0)])).any()
+        assert roadmap.is_free(np.array([(-3.0, -4.0)]), np.array([(-3.0 + x, 4.0)])).all()
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -136,6 +145,8 @@ def test_what_is_left_to_lattices():
         scenes.tangle(),
         hallway(5),
         Problem(ROOM, [PointRobot()], *ends),
+        Problem(ROOM, [AnyShape(((0, 0),), rounding=0.4)], [(1, 1, 0)], [(9, 1, 2)]),  # a disc that has a heading
+        Problem(ROOM, [DiscRobot(ROOM.tolerance / 5)] * 2, [(1, 1), (2, 1)], [(9, 1), (8, 1)]),
         Problem(many, [DiscRobot(0.2)], *ends),
         Problem(ROOM, [DiscRobot(0.2)] * 9, nine, [(x, 6) for x, _ in nine]),
     ):
