@@ -25,10 +25,9 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         }
         cells = [f"{results['paper'].get(name, {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
         table.append([name, *cells, spread(row["cost_over_bound"], ".3f"), at_least(total["same_cost"], "best")])
-    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"])
+    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"]) or "none"
     return markdown(table, numbers=4) + (
-        f"\nA first path, whatever its length, one of OMPL's finds sooner in {sooner} of {len(race['summary'])} "
-        "scenes.\n"
+        f"\nOMPL finds a first path, of any length, sooner in {sooner} of {len(race['summary'])} scenes.\n"
     )
 
 
@@ -79,7 +78,7 @@ def race(results: dict[str, Any]) -> str:
     rows = [["scene", *(f"{name}: {who}" for name in marks.values() for who in ("ours s", "best s", "times ours"))]]
     for total in results["summary"]:
         parts = [total[mark] for mark in marks]
-        cells = [(f"{part['ours']:.3f}", at_least(part, "best"), at_least(part, "ratio")) for part in parts]
+        cells = [(f"{part['ours']:.2g}", at_least(part, "best"), at_least(part, "ratio")) for part in parts]
         rows.append([total["scene"], *(text for three in cells for text in three)])
     limit = results["limit"]
     return markdown(rows, numbers=9) + (

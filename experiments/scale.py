@@ -29,7 +29,7 @@ from experiments._scale_work import FatalOnce, build, family, files_of, tables_o
 SCENE, NUM_KILLS = "maze", 20
 CONES, PLANES = ("cone", 150, 200), ("plane", 60, 512)
 """Leaves, goals, and bytes of each file: parts of several goals are for workers, of one for kills."""
-GRID = 500, 26 * 10**6
+GRID = 500, 4 * 10**6
 """Cells of a side, and bytes that a query reads."""
 _EARLIEST = 0.05  # of the time that a process takes
 

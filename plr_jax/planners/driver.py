@@ -97,8 +97,8 @@ def bl_plan(
         which proves nothing about finer ones; a limit, or INTERRUPTED. All but the first with or without a path.
 
     Raises:
-        ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
-            ``(n,)``; or if the options are no :class:`BLOptions`.
+        ValueError: If the heuristic is no function of joint configurations, or, where it is asked, returns NaN or
+            another shape than ``(n,)``; or if the options are no :class:`BLOptions`.
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V

@@ -193,7 +193,10 @@ TEXT, TYPE = cast(Any, "here"), cast(Any, 3)
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
         (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
         (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), max_bytes=0), "max_bytes must be an integer >= 1"),
-        (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), checkpoint=TYPE), "checkpoint must be the path of a file"),
+        (
+            lambda pairs: construct_grid_pairs(GridGraph(ROOMS), checkpoint=TYPE),
+            "checkpoint must be the path of a file",
+        ),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],
 )
