@@ -26,6 +26,7 @@ from scipy import ndimage
 from experiments._c_headers import compiled_library, median_seconds
 from experiments._runner import run
 from plr_jax import GridGraph, GridPairs, construct_grid_pairs, scenes
+from plr_jax.pairs.grid_query import GridTables
 
 _MAPS = "orz900d", "scene_mp_2p_01", "warehouse_long_corridor_large", "Boston_0_256"
 _GOALS, _TABLE_BYTES = 10_000, 4
@@ -86,6 +87,7 @@ def _measure(
     begin, cpu = time.perf_counter(), time.process_time()
     pairs = construct_grid_pairs(graph)
     seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
+    assert isinstance(pairs.tables, GridTables), "exact, as no memory was asked for"
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     rng, cells = np.random.default_rng(seed), np.argwhere(free)
     starts = cells[rng.integers(len(cells), size=num_starts)]
