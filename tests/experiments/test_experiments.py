@@ -123,7 +123,7 @@ def test_results_with_a_path_that_is_not_valid_are_refused():
 
 
 def test_runs_of_teams_that_found_no_path_are_counted():
-    problem = scenes.crowd(2)
+    problem = scenes.tangle()
     found, failed = (teams.planned(problem, 1.0, BLOptions(time_limit=seconds)) for seconds in (60.0, 1e-9))
     assert (found["failures"], failed["failures"], failed["first"]) == (0, 1, None)
     row = {"scene": "crowd", **teams.middle([found, failed])}
