@@ -30,9 +30,9 @@ from tqdm import tqdm
 import plr_jax
 from plr_jax.pairs.grid_corners import FAR, MOST_BYTES
 from plr_jax.pairs.grid_query import cells_of, in_steps
-from plr_jax.pairs.grid_sectors import open_length, units
+from plr_jax.pairs.grid_sectors import open_length
 from plr_jax.pairs.grid_sight import Cells, bits_of, looked_up, narrow
-from plr_jax.pairs.grid_window import NO_WAY
+from plr_jax.pairs.grid_window import squares_around, whole_steps
 from plr_jax.plr._checkpoint import Checkpoint
 from plr_jax.plr._chunks import Chunk, Done
 
@@ -255,14 +255,11 @@ def bounds_around(
 ) -> Int32[Array, "n width width"]:
     """Lower bounds of the steps to goals from squares of cells around positions; -1 where there is no path."""
     (position, inside), (goal, goal_inside) = (cells_of(tables.shape, points) for points in (positions, goals))
-    offsets = jnp.asarray(np.moveaxis(np.indices((2 * radius + 1, 2 * radius + 1)) - radius, 0, -1), jnp.int32)
-    cells = position[:, None, None] + offsets
-    in_grid = ((cells >= 0) & (cells < jnp.asarray(tables.shape))).all(axis=-1)
-    goal = jnp.broadcast_to(goal[:, None, None], cells.shape)
-    at = jnp.where(in_grid[..., None], cells, 0)
-    lengths = _bounds_between_cells(tables, at.reshape(-1, 2), goal.reshape(-1, 2), False).reshape(in_grid.shape)
-    answered = in_grid & (lengths < FAR) & (inside & goal_inside)[:, None, None]
-    return jnp.where(answered, lengths // units(tables.connectivity), NO_WAY)
+    row, column, on_grid = squares_around(tables.shape, position, radius)
+    cells = jnp.where(on_grid[..., None], jnp.stack([row, column], axis=-1), 0)
+    ends = cells.reshape(-1, 2), jnp.broadcast_to(goal, cells.shape).reshape(-1, 2)
+    lengths = _bounds_between_cells(tables, *ends, above=False).reshape(on_grid.shape)
+    return whole_steps(tables.connectivity, lengths, on_grid & inside & goal_inside)
 
 
 def _bounds_between_cells(tables: LandmarkTables, p: Cells, q: Cells, above: bool) -> Int32[Array, "n"]:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Int, Int32, Num, Shaped
 from plr_jax.pairs.grid_corners import FAR
 from plr_jax.pairs.grid_query import GridTables, cells_of, lengths_between_cells
 from plr_jax.pairs.grid_sectors import open_length, units
-from plr_jax.pairs.grid_sight import is_free
+from plr_jax.pairs.grid_sight import Cells, is_free
 
 NO_WAY = -1
 """What stands for cells from which no path leads to the goal."""
@@ -25,7 +25,7 @@ _AT_ONCE = 2**13  # cells asked for at once
 _AGENTS = 1024  # whose squares are looked at at once
 
 # Agents are the last axis, along which processors work on many numbers at once.
-Square = Int32[Array, "width width n"]
+Square, Marks = Int32[Array, "width width n"], Bool[Array, "width width n"]
 Rim = Int32[Array, "rim n"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
 _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
@@ -37,9 +37,7 @@ def distances_around(
 ) -> Int32[Array, "n width width"]:
     """Whole steps from each cell of the squares around the cells of positions to those of goals."""
     (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
-    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
-    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
-    on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
+    row, column, on_grid = squares_around(tables.shape, position, radius)
     in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
 
@@ -52,8 +50,20 @@ def distances_around(
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
     reached = _spread_in_parts(tables.connectivity, jnp.where(free, known, FAR), free)
-    answered = free & (reached < FAR) & inside & goal_inside
-    return jnp.moveaxis(jnp.where(answered, reached // units(tables.connectivity), NO_WAY), -1, 0)
+    return whole_steps(tables.connectivity, reached, free & inside & goal_inside)
+
+
+def squares_around(shape: tuple[int, int], position: Cells, radius: int) -> tuple[Square, Square, Marks]:
+    """Rows and columns of the cells around positions, and which are cells of the grid."""
+    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
+    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
+    return row, column, (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+
+
+def whole_steps(connectivity: int, lengths: Square, answered: Marks) -> Int32[Array, "n width width"]:
+    """Lengths of units in whole steps, agent by agent; -1 where they are far, or not answered."""
+    steps = jnp.where(answered & (lengths < FAR), lengths // units(connectivity), NO_WAY)
+    return jnp.moveaxis(steps, -1, 0)
 
 
 def _around(radius: int) -> tuple[Int[np.ndarray, "rim"], Int[np.ndarray, "rim"]]:
