@@ -39,7 +39,7 @@ MOST_BYTES = 2**30
 
 _NO_PATH = FAR + 2**20  # so that what is a little less is no path either
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # so that twice as many units fit into 8 bits, or into 16
-_MOST_WORK = 2**27  # pairs of neighbors of all corners when they are taken out: half a minute
+_MOST_WORK = 2**27  # pairs of neighbors of all corners when they are taken out; more take minutes
 _ANCESTOR_BYTES = 8
 
 

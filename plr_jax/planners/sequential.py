@@ -13,7 +13,7 @@ References:
 
 from functools import cached_property, lru_cache
 from itertools import groupby, pairwise, permutations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -180,14 +180,14 @@ def sequential_path(problem: Problem) -> Path | None:
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
-    journeys: list[Any] = [None] * len(robots)
+    found: dict[int, Journey] = {}
     for radius in {robot.rounding for robot in robots}:
         alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        found = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
-        for i, journey in zip(alike, found, strict=True):
-            journeys[i] = journey
-    ways = [journey.way() for journey in journeys]
-    rows = None if None in ways else _Sequence(journeys, ways, _reaches(problem)).rows()
+        journeys = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
+        found.update(zip(alike, journeys, strict=True))
+    journeys = [found[i] for i in range(len(robots))]
+    ways = [way for journey in journeys if (way := journey.way())]
+    rows = _Sequence(journeys, ways, _reaches(problem)).rows() if len(ways) == len(robots) else None
     return None if rows is None else np.array(rows)[..., None].view(np.float64)
 
 
