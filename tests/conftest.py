@@ -1,8 +1,5 @@
-import atexit
 import os
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import hypothesis
@@ -19,11 +16,8 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 for _library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-# What is compiled is compiled once for all workers and for the processes that tests start: the process that starts
-# the workers makes the folder, unless one is given.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    _folder = os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="jax-cache-")
-    atexit.register(shutil.rmtree, _folder, ignore_errors=True)
+# Workers, and the processes that tests start, share compiled functions. They are kept between runs.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".pytest_cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 

@@ -1,14 +1,21 @@
-"""How large the house is: ``python tests/house.py`` prints files and lines of code, and what a first call runs.
+"""Measure the size of the code base.
 
-A line of code is one that holds more than a comment or a docstring. What a call runs is counted in a process of its
-own: files of the package with a function that ran, and such functions, imports left out.
+``python tests/house.py`` prints lines of code, small functions, tricks that hide structure, and what a first call runs.
+``python tests/house.py FOLDER ...`` prints lines and functions of these folders alone, in a second.
+
+A line of code holds more than a comment or a docstring. A private function counts as used once if its name is read
+once in the whole package. What a call runs is counted in a fresh process: the files and functions of the package that
+run during the call, without imports.
 """
 
 import ast
+import inspect
 import io
+import re
 import subprocess
 import sys
 import tokenize
+from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
@@ -56,17 +63,74 @@ def lines_of_code(source: str) -> int:
     return len(code - documented)
 
 
+def functions_of(tree: ast.AST) -> list[ast.FunctionDef]:
+    """Return all functions and methods of a file."""
+    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
+def body_lines(function: ast.FunctionDef) -> int:
+    """Count the source lines of a body after its docstring."""
+    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def reads_of(trees: list[ast.Module]) -> Counter[str]:
+    """Count how often each name is read, as a variable or as an attribute."""
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    names = Counter(node.id for node in nodes if isinstance(node, ast.Name))
+    return names + Counter(node.attr for node in nodes if isinstance(node, ast.Attribute))
+
+
+def import_circles() -> list[list[str]]:
+    """Return the groups of files that import one another in a circle, also by imports inside functions."""
+    import networkx as nx
+
+    graph = nx.DiGraph()
+    for path in sorted((ROOT / "plr_jax").rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("plr_jax"):
+                for module in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names)):
+                    file = ROOT / module.replace(".", "/")
+                    if file.with_suffix(".py").exists():
+                        graph.add_edge(name, module)
+    return [sorted(group) for group in nx.strongly_connected_components(graph) if len(group) > 1]
+
+
+def print_size(folder: Path, reads: Counter[str]) -> None:
+    """Print files, lines and functions of one folder."""
+    sources = [path.read_text() for path in sorted(folder.rglob("*.py"))] if folder.is_dir() else [folder.read_text()]
+    total = sum(source.count("\n") for source in sources)
+    functions = [function for source in sources for function in functions_of(ast.parse(source))]
+    short = sum(body_lines(function) <= 2 for function in functions)
+    once = sum(f.name.startswith("_") and not f.name.startswith("__") and reads[f.name] == 1 for f in functions)
+    name = folder.relative_to(ROOT)
+    print(f"{name}: {len(sources)} files, {total:,} lines, {sum(map(lines_of_code, sources)):,} of code; ", end="")
+    print(f"{len(functions):,} functions, {short} with at most 2 lines, {once} private and used once")
+
+
 def main() -> None:
-    """Print all of it."""
-    for room in ("plr_jax", "tests", "experiments"):
-        sources = [path.read_text() for path in sorted((ROOT / room).rglob("*.py"))]
-        total = sum(source.count("\n") for source in sources)
-        print(f"{room}: {len(sources)} files, {total:,} lines, {sum(map(lines_of_code, sources)):,} of code")
+    """Print all measurements, or those of the folders that are named."""
+    trees = [ast.parse(path.read_text()) for path in (ROOT / "plr_jax").rglob("*.py")]
+    reads = reads_of(trees)
+    for folder in sys.argv[1:] or ("plr_jax", "tests", "experiments"):
+        print_size((ROOT / folder).resolve(), reads)
+    if sys.argv[1:]:
+        return
+    package = "\n".join(path.read_text() for path in (ROOT / "plr_jax").rglob("*.py"))
+    for trick in (r"\bvars\(", r"object\.__new__", r"__signature__", r"def __getattr__"):
+        print(f"{trick}: {len(re.findall(trick, package))}")
+    print("circles of imports:", import_circles())
+    from plr_jax import construct
+    from plr_jax.plr.leaves.base import LeafModel
+
+    print("abstract members of LeafModel:", len(LeafModel.__abstractmethods__))
+    print("parameters of construct:", len(inspect.signature(construct).parameters))
     for name, (before, call) in CALLS.items():
         program = before + COUNT.format(call=call)
         run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-        files, functions = run.stdout.split()
-        print(f"{name}: {files} files, {functions} functions")
+        files, ran = run.stdout.split()
+        print(f"{name}: {files} files, {ran} functions")
 
 
 if __name__ == "__main__":
