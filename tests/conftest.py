@@ -25,9 +25,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 if shape_checks.IS_ON:
     jaxtyping.install_import_hook("plr_jax", "shape_checks.in_first_calls")
 
-# How long an example takes is no defect, on a busy machine least of all.
-hypothesis.settings.register_profile("without deadlines", deadline=None)
-hypothesis.settings.load_profile("without deadlines")
+# Examples have no deadline: a slow machine is not a defect. `--hypothesis-profile full` tries more of them.
+hypothesis.settings.register_profile("quick", deadline=None, max_examples=20)
+hypothesis.settings.register_profile("full", deadline=None, max_examples=100)
+hypothesis.settings.load_profile("quick")
 
 # Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.
 _LONG = ("test_notebooks.py", "test_experiments.py", "test_readme.py", "test_solve.py")
