@@ -1,10 +1,13 @@
-"""How much the suite notices: random single changes of the package, and the share of them that tests fail on.
+"""Measure how many random changes of the package the tests notice.
 
-``python tests/mutations.py --number 200 --seed 0 --lines FOLDER`` runs each file of tests by itself, once, and keeps
-in the folder which lines of the package it ran and for how long. Then it draws places of operators, comparisons and
-constants in ``plr_jax``, changes one at a time in a copy, and runs there the files that ran the changed line: those
-that mirror its room first, then the quicker ones. A change that is not noticed is printed: it is equivalent to the
-original, or asks for a test.
+``python tests/mutations.py --number 200 --seed 0 --lines FOLDER`` works in three steps:
+
+1. Run each test file once, alone, and keep its seconds and the lines of the package that it ran in FOLDER.
+2. Draw operators, comparisons and constants of ``plr_jax``, and change one at a time in a copy.
+3. Run the test files that ran the changed line, first the files of the same room, then the quicker files.
+
+A change that no test notices is printed: it is equivalent to the original, or a test is missing. ``--quick`` uses the
+quick tier of the tests alone; give it a FOLDER of its own.
 """
 
 import argparse
@@ -28,9 +31,11 @@ import coverage
 ROOT = Path(__file__).parent.parent
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Pow: "*"}
 COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
-PYTEST = ["-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider"]
-SECONDS = 120  # of tests, as they took unchanged; more are not run for one change
-LONGEST = 900  # a change after which tests never end is noticed
+PYTEST = ["-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", "-m"]
+ALL, QUICK = "full or not full", "not full"
+NO_TESTS = 5  # pytest's exit status for a file none of whose tests belongs to the tier
+SECONDS = 120  # a change is tested for about as long, by the times of unchanged tests
+LONGEST = 900  # seconds after which a change counts as noticed, since its tests hang
 
 
 class Mutation(NamedTuple):
@@ -84,8 +89,8 @@ class TestFile(NamedTuple):
     lines: dict[str, list[int]]
 
 
-def test_files(folder: Path) -> list[TestFile]:
-    """All files of tests; those that the folder does not hold yet are run."""
+def test_files(folder: Path, tier: str) -> list[TestFile]:
+    """Return all test files. Run those that the folder does not hold yet."""
     folder.mkdir(exist_ok=True)
     names = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").rglob("test_*.py"))]
     result = []
@@ -93,22 +98,15 @@ def test_files(folder: Path) -> list[TestFile]:
         kept = folder / (name.replace("/", "_") + ".json")
         if not kept.exists():
             data, begin = folder / "data", time.monotonic()
-            command = [
-                sys.executable,
-                "-m",
-                "coverage",
-                "run",
-                "--source=plr_jax",
-                f"--data-file={data}",
-                *PYTEST,
-                name,
-            ]
+            command = [sys.executable, "-m", "coverage", "run", "--source=plr_jax", f"--data-file={data}"]
+            command += [*PYTEST, tier, name]
             run = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
-            if run.returncode != 0:
+            if run.returncode not in (0, NO_TESTS):
                 raise RuntimeError(f"{name} fails without any change: {run.stdout[-2000:]}{run.stderr[-2000:]}")
             ran = coverage.CoverageData(str(data))
             ran.read()
             lines = {str(Path(file).relative_to(ROOT)): ran.lines(file) for file in ran.measured_files()}
+            lines = lines if run.returncode == 0 else {}
             kept.write_text(json.dumps(TestFile(name, time.monotonic() - begin, lines)))
             print(f"{name}: {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
         result.append(TestFile(*json.loads(kept.read_text())))
@@ -151,7 +149,7 @@ def tests_of(mutation: Mutation, files: list[TestFile]) -> list[str]:
     return chosen
 
 
-def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
+def is_noticed(mutation: Mutation, tests: list[str], tier: str) -> bool:
     """Whether tests fail, or take too long, on a copy that is changed."""
     if not tests:
         return False
@@ -163,17 +161,14 @@ def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
         target = Path(folder) / mutation.path.relative_to(ROOT)
         source = target.read_bytes()
         target.write_bytes(source[: mutation.begin] + mutation.text.encode() + source[mutation.end :])
-        command, environment = [sys.executable, *PYTEST, *tests], {**os.environ, "PYTHONPATH": folder}
+        command, environment = [sys.executable, *PYTEST, tier, *tests], {**os.environ, "PYTHONPATH": folder}
         try:
             run = subprocess.run(
                 command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
             )
         except subprocess.TimeoutExpired:
             return True
-        if run.returncode in (
-            3,
-            5,
-        ):  # pytest failed or found no tests; a process that died is noticed
+        if run.returncode in (3, NO_TESTS):  # an internal error of pytest; a process that dies is noticed
             raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
         return run.returncode != 0
 
@@ -184,13 +179,15 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lines", type=Path, required=True, help="folder that keeps which lines tests run")
+    parser.add_argument("--quick", action="store_true", help="use the quick tier alone")
     arguments = parser.parse_args()
-    files = test_files(arguments.lines)
+    tier = QUICK if arguments.quick else ALL
+    files = test_files(arguments.lines, tier)
     everything = [mutation for path in sorted((ROOT / "plr_jax").rglob("*.py")) for mutation in mutations_of(path)]
     noticed = 0
     for i, mutation in enumerate(random.Random(arguments.seed).sample(everything, arguments.number)):
         tests = tests_of(mutation, files)
-        found = is_noticed(mutation, tests)
+        found = is_noticed(mutation, tests, tier)
         noticed += found
         if not found:
             was = mutation.path.read_bytes()[mutation.begin : mutation.end].decode().strip()
