@@ -110,28 +110,6 @@ def teams(results: dict[str, Any]) -> str:
     )
 
 
-def continuity(results: dict[str, Any]) -> str:
-    """The kinds of leaves at equal bytes: error, jumps, and what they cost."""
-    slowest = {row["leaf"]: 0.0 for row in results["rows"]}
-    for row in results["rows"]:
-        slowest[row["leaf"]] = max(slowest[row["leaf"]], row["to_planes"])
-    sizes = sorted({row["budget"] for row in results["rows"]})
-    shown = _SHOWN if _SHOWN in sizes else sizes[-1]
-    table = formatted(
-        (row for row in results["rows"] if row["budget"] == shown),
-        *(("map", "{map}"), ("leaf", "{leaf}"), ("leaves", "{leaves:,}"), ("mean error", "{mean:.2g} ({max:.2g})")),
-        *(("largest jump", "{value_jump:.1g}"), ("of the gradient", "{gradient_jump:.1g}")),
-        *(("ns a point", "{nanoseconds:.1f} ({to_planes:.1f} x)"), ("built in s", "{seconds:.1f}")),
-        words=2,
-    )
-    return table + (
-        f"\nAt {shown:,} bytes. In brackets the largest error, and the multiple of the time of planes, which from "
-        f"{sizes[0]:,} to {sizes[-1]:,} bytes is at most {slowest['continuous']:.1f} for continuous and "
-        f"{slowest['smooth']:.1f} for smooth leaves. Jumps are over faces that one can step across, of the value as "
-        "a share of the largest distance.\n"
-    )
-
-
 def descent(results: dict[str, Any]) -> str:
     """Where gradients point, where they lead alone, and where descent does."""
     rows = [row | {"map": each["map"]} for each in results["maps"] for row in each["rows"]]
@@ -300,29 +278,6 @@ def car(results: dict[str, Any]) -> str:
         *(("mean error", "{mean:.2g}"), ("largest", "{largest:.2g}"), ("ns a query", "{nanoseconds:.0f}")),
         ("s to build", "{seconds:.1f}"),
     )
-
-
-def edges(results: dict[str, Any]) -> str:
-    """Compiled tests of free space beside Shapely, errors far from the origin, and states that BIT* tests."""
-    table = formatted(
-        (row | {"megabytes": row["bytes"] / 1e6} for row in results["free_space"]["rows"]),
-        *(("map", "{map}"), ("edges", "{edges:,}"), ("MB", "{megabytes:.2f}")),
-        *(("built in s", "{seconds_to_build:.2g}"), ("ns a point", "{nanoseconds:.0f}")),
-        *(("by Shapely", "{nanoseconds_shapely:.0f}"), ("largest error / side", "{largest_error:.1e}")),
-    )
-
-    def of_trials(trials: list[dict[str, Any]]) -> dict[str, Any]:
-        medians = {what: np.median([trial[what] for trial in trials]) for what in ("tested", "seconds")}
-        return {**medians, "arrived": sum(trial["arrived"] for trial in trials), "of": len(trials)}
-
-    search = formatted(
-        (row | of_trials(row["trials"]) for row in results["ompl"]["rows"]),
-        *(("BIT\\* guided by", "{heuristic}"), ("states tested", "{tested:,.0f}"), ("s", "{seconds:.1f}")),
-        ("arrived", "{arrived} of {of}"),
-    )
-    worst = max(row["ratio"] for row in results["utm"]["rows"])
-    note = f"Mean errors in UTM coordinates are at most {worst:.4f} times those at the origin, for all leaves."
-    return f"{table}\n{search}\n{note}\n"
 
 
 def scale(results: dict[str, Any]) -> str:

@@ -98,8 +98,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "modules": (uses.modules, "page"),
     "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
-    "edges": (uses.edges, "edges"),
-    "continuity": (uses.continuity, "continuity"),
     "descent": (uses.descent, "descent"),
     "trajectory": (uses.trajectory, "trajectory"),
     "placement": (uses.placement, "placement"),
