@@ -26,9 +26,7 @@ _RIVALS = {
     "landmark_tables": "landmarks, tables",
     "landmark_plrs": "landmarks, PLRs",
     "fastmap": "FastMap",
-    "embedding": "least stress",
     "network": "network, 16-bit",
-    "spanner": "polygon, spanner",
     "polygon": "polygon, exact oracle",
 }
 

@@ -1,6 +1,6 @@
 """Measure the size of the code base.
 
-``python tests/house.py`` prints lines of code, small functions, tricks that hide structure, and what a first call runs.
+``python tests/house.py`` prints lines of code, small functions, structural tricks, and what a first call runs.
 ``python tests/house.py FOLDER ...`` prints lines and functions of these folders alone, in a second.
 
 A line of code holds more than a comment or a docstring. A private function counts as used once if its name is read

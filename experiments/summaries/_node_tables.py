@@ -124,7 +124,7 @@ def full_table(given: Given) -> Candidates:
         grid = finest_grid(given.workspace, partial(_num_bytes, bits=bits), given.max_bytes)
         if grid is None:
             continue
-        distance = given.fields(grid.free)(grid.free)
+        distance = given.fields(grid.free, grid.free)
         length = np.linalg.norm(grid.free[:, None] - grid.free, axis=2)
         for what, values in {"distances": distance, "detours": np.maximum(distance - length, 0)}.items():
             for reading in ("interpolated", "nearest"):

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import shortest_path
 
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
-from experiments.summaries import _given, _landmarks, _node_tables, _polygons
+from experiments.summaries import _given, _landmarks, _node_tables
 from experiments.summaries._given import Given
 from plr_jax import VisibilityGraph, Workspace, scenes
-from plr_jax.geometry.graph import Graph
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 
@@ -23,23 +21,10 @@ def test_the_polygon_is_exact():
     problem = scenes.maze()
     brute, x = BruteDistance(MAZE, goal := problem.goals[0]), problem.workspace.sample_free(1_000, 3)
     y = np.tile(goal, (len(x), 1))
-    for _, summary in _polygons.exact(given(problem.workspace, 1_024)):
-        assert summary.num_bytes == 4 * 28
-        np.testing.assert_allclose(summary(x, y), brute(x), rtol=0, atol=1e-6)
-        np.testing.assert_allclose(summary(y, x), brute(x), rtol=0, atol=1e-6)
-
-
-def test_greedy_spanners_keep_what_they_must():
-    triangle = Graph(np.array([(0.0, 0.0), (1.0, 0.0), (0.5, 0.4)]), np.array([(0, 1), (1, 2), (2, 0)]))
-    assert _polygons.greedy_spanner(triangle, 1.5).num_edges == 2  # around the long side, 1.28 times as far
-    assert _polygons.greedy_spanner(triangle, 1.25).num_edges == 3
-    assert _polygons._edge_bits(4, 3) == 5 and _polygons._edge_bits(4, 6) == 0  # 20 ways to take 3 of 6
-    points = np.random.default_rng(0).random((40, 2))
-    complete = Graph(points, np.argwhere(np.triu(np.ones((40, 40)), 1)))
-    for stretch in (1.1, 1.5, 3.0):
-        kept = _polygons.greedy_spanner(complete, stretch)
-        ratio = shortest_path(kept.adjacency) / (np.linalg.norm(points[:, None] - points, axis=2) + np.eye(40))
-        assert 1.0 < ratio.max() <= stretch * (1 + 1e-12) and kept.num_edges < complete.num_edges
+    ((_, summary),) = compare_summaries.polygon(given(problem.workspace, 1_024))
+    assert summary.num_bytes == 4 * 28
+    np.testing.assert_allclose(summary(x, y), brute(x), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(summary(y, x), brute(x), rtol=0, atol=1e-6)
 
 
 def test_grids_interpolate_between_free_nodes():
@@ -58,12 +43,7 @@ def test_grids_interpolate_between_free_nodes():
     assert 800 < finest.table_bytes(1, 8) <= 1_000
 
 
-def test_avoid_goes_down_the_heaviest_branch_without_a_landmark_and_shares_fit():
-    """Root 0 with branches 1-2-3 and 4-5."""
-    parents, distances = np.array([-9999, 0, 1, 2, 0, 4]), np.array([0.0, 1, 2, 3, 1, 2])
-    weight = np.array([0.0, 1, 1, 1, 2, 2])
-    assert _landmarks._worst_leaf(distances, parents, weight, set(), 0) == 5
-    assert _landmarks._worst_leaf(distances, parents, weight, {5}, 0) == 3
+def test_the_share_of_the_way_between_bounds_is_fitted():
     lower, upper = np.zeros(50), np.full(50, 2.0)
     assert _landmarks._best_share(lower, upper, np.full(50, 0.5)) == 0.25
     assert _landmarks._best_share(lower, upper, lower) == 0
