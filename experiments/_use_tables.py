@@ -111,15 +111,11 @@ def teams(results: dict[str, Any]) -> str:
 
 
 def descent(results: dict[str, Any]) -> str:
-    """Where gradients point, where they lead alone, and where descent does."""
+    """Render how many paths of descent reach the goal, and how long they are."""
     rows = [row | {"map": each["map"]} for each in results["maps"] for row in each["rows"]]
-    sizes = {row["budget"] for row in rows}
-    shown = _SHOWN if _SHOWN in sizes else max(sizes)
     table = formatted(
-        (row for row in rows if row["budget"] == shown),
-        *(("map", "{map}"), ("leaf", "{leaf}")),
-        ("angle", "{gradient[angles][0.5]:.2g} ({gradient[angles][0.99]:.2g})"),
-        *(("raw gradient reaches", "{walks[reached]:.1%}"), ("descent reaches", "{reached:.2%}")),
+        (row for row in rows if row["budget"] == _SHOWN),
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("reach the goal", "{reached:.2%}")),
         *(("crosses a wall", "{crossings}"), ("length / exact", "{ratio[median]:.4f} ({ratio[max]:.4f})")),
         ("s", "{seconds[median]:.2f}"),
         words=2,
@@ -128,14 +124,9 @@ def descent(results: dict[str, Any]) -> str:
         f"{each['map']} {each['without_field']['reached']:.2%}, {each['without_field']['ratio']['max']:.4f}"
         for each in results["maps"]
     )
-    not_finite, zero = (sum(row["gradient"][f"num_{what}"] for row in rows) for what in ("not_finite", "zero"))
-    worst = max(row["finite_differences"] for row in rows)
     return table + (
-        f"\nFrom {results['starts']:,} random starts, fields of {shown:,} bytes. Angles to the exact direction in "
-        "degrees: median, and in brackets 99 %. Lengths: median, and in brackets the largest. With a field of zeros, "
-        f"starts that reach the goal, and the largest length: {blind}. Of {results['points']:,} free "
-        f"points a field, over all sizes, {not_finite} have no finite gradient and {zero} a zero one outside cells "
-        f"that hold the goal. Inside cells, gradients are finite differences to {worst:.0e} of their length.\n"
+        f"\nFrom {results['starts']:,} random starts, fields of {_SHOWN:,} bytes. Lengths: median, in brackets the "
+        f"largest. With a field of zeros, starts that reach the goal, and the largest length: {blind}.\n"
     )
 
 
