@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
-from experiments.benchmarks import _accuracy, _gradient, _growth, _oracle, _query
+from experiments.benchmarks import _accuracy, _growth, _oracle, _query
 from experiments.benchmarks._numba_loop import numba_loop
 from experiments.benchmarks._rivals import (
     Rival,
@@ -63,13 +63,6 @@ def test_triangles_and_linear_trees_count_their_bytes():
     assert rival.num_bytes == 1_200 == 12 * len(rival.answer.points)
     assert np.isfinite(rival.on_host(WALL.sample_free(1_000, 1))).all()
     assert linear_trees(x, EXACT(x), 20, 2, 0).num_bytes == 13 + 17 * 40
-
-
-def test_central_differences_are_gradients():
-    x = np.random.default_rng(0).random((100, 2))
-    values, slopes = _gradient.central_differences(lambda x: x[:, 0] ** 2 + 3 * x[:, 1], x, 1e-3)
-    assert np.allclose(values, x[:, 0] ** 2 + 3 * x[:, 1])
-    assert np.allclose(slopes, np.stack([2 * x[:, 0], np.full(100, 3.0)], axis=1))
 
 
 def test_summaries_count_what_is_not_answered_and_what_is_compiled():
