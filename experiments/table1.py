@@ -109,7 +109,7 @@ def _measure_scene(
         if num_samples:
             make_roadmap = partial(Roadmap.from_workspace, workspace, goal, num_samples, seed=seed)
             roadmap = make_roadmap()
-            of_roadmap = {**fixed, **smoothed(128 if smoke else 1_536), **ours(*budgets[-2:]), **cones(budgets[-1])}
+            of_roadmap = {**fixed, **smoothed(128 if smoke else 1_536), **ours(*budgets[-2:])}
             for name, options in of_roadmap.items():
                 measure("PLR (PRM*)", name, seed, partial(construct, roadmap, workspace.bounds, seed=seed, **options))
             measure("PRM*", f"{num_samples:,} samples", seed, make_roadmap)

@@ -26,7 +26,7 @@ coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little
 function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`,
+:class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`,
 :class:`RadialFn`.
 """
 
@@ -86,15 +86,6 @@ class Sources:
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, "sources"]
     parents: Int[np.ndarray, "sources"]
-
-
-@runtime_checkable
-class SourcedFn(Protocol):
-    """A distance function that offers its sources."""
-
-    @property
-    def sources(self) -> Sources: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

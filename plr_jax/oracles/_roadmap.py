@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -23,10 +23,10 @@ from plr_jax._arrays import (
     runs,
     told,
 )
-from plr_jax._types import ArrayLike, Distances, Points, Sources
+from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, to_networkx
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._metric import Metric, metric_of
 
@@ -309,20 +309,6 @@ class Roadmap:
         adjacency matrix follow from it and are not counted.
         """
         return self.graph.num_bytes
-
-    @cached_property
-    def sources(self) -> Sources:
-        """The vertices: a query's path goes to one of them first.
-
-        Raises:
-            ValueError: If lengths are not Euclidean, as those to sources are.
-        """
-        if not self._metric.is_euclidean:
-            raise ValueError(
-                "Distances to sources are Euclidean, those of a roadmap with weights or periodic axes are not; use "
-                "continuous leaves or planes, not cones."
-            )
-        return Sources(self.graph.vertices, self.distances, rooted(self._parents))
 
     def to_networkx(self) -> "networkx.Graph":
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""

@@ -29,7 +29,7 @@ from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel
 from plr_jax.plr.partition.cells import Cells, levels_of
 from plr_jax.plr.query.frame import table_corners
-from plr_jax.plr.sampling.asked import as_executor, asked
+from plr_jax.plr.sampling.asked import AskedFn, as_executor
 from plr_jax.plr.sampling.cell_fit import FitRule, Sampler, WeightFn, least_squares, sample_pattern
 from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
@@ -160,14 +160,11 @@ def construct(
             take longer to build and to query, and err less for their bytes. ``"cone"`` holds the distance to one
             *source*, a point that paths go to next, and on from there: among obstacles that is exact but where the
             next corner changes, if the file has room for the corners, some 7 bytes each; where it has room for less
-            than a quarter, as of a scan full of specks, others mostly err less. Of a distance function that answers
-            for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf, its
-            boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources that
-            serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones grow
-            from samples, as for any other function; their sources are those that the function offers, as ``Roadmap``
-            does, or are found from samples. Cones answer finite numbers wherever they are asked. They rise by one
-            unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such as
-            ``plr_jax.plr.Plane(coefficient_bits=16)``.
+            than a quarter, as of a scan full of specks, others mostly err less. Cones need a distance function
+            that answers for whole cells of the plane, as ``VisibilityGraph`` does: their partition is the best of all
+            at a price a leaf, its boxes up to 4 times as long as wide in fractions of the domain, and samples only
+            choose among sources that serve a leaf about as well. Cones answer finite numbers wherever they are asked.
+            Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for. In the plane:
 
@@ -186,7 +183,7 @@ def construct(
             many as the bytes, of tied ones than as many, of cones than twice as many.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
             most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller. Of
-            cones that need no samples, and of planes with ``certified``, it is the proven error of the leaf.
+            cones, and of planes with ``certified``, it is the proven error of the leaf.
         certified: Whether to prove a bound of the largest error, over all points from which the goal can be reached:
             ``plr.max_error``, 4 bytes of the file. PLRs of more than 1,300 bytes keep bounds of classes of leaves as
             well, in less than a 100th of these: most leaves are far better than the worst one, and so ``plr.bounds``
@@ -225,7 +222,7 @@ def construct(
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
             a tree larger than memory, a budget is too small for one leaf, tied leaves hang on one another in too many
             ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, no sample reaches the
-            goal, a proof is asked for and ``distance_fn`` does not answer for cells, cones or a proof are asked for
+            goal, cones or a proof are asked for and ``distance_fn`` does not answer for cells, they are asked for
             in a domain with a periodic axis, or the checkpoint is of another ``distance_fn`` or domain.
         OSError: If the checkpoint cannot be read or written.
 
@@ -275,7 +272,7 @@ def construct(
     memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
     if executor is not None or checkpoint is not None:
         kept = None if checkpoint is None else Checkpoint(checkpoint, digest_of([distance_fn], domain, "answers"))
-        distance_fn = asked(distance_fn, as_executor(executor), kept)
+        distance_fn = AskedFn(distance_fn, as_executor(executor), kept)
     if folding is not None:
         domain, weight_fn = folding.box, FoldedWeights(weight_fn, folding)
         distance_fn = FoldedFn(distance_fn, folding)

@@ -197,30 +197,6 @@ def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena(data_dir):
         assert row["euclid_length"] - 1e-4 <= distance <= 1.1 * row["euclid_length"]
 
 
-def test_sources_are_vertices_and_answers_go_by_way_of_one():
-    oracle, x = roadmap(GAP, num_samples=60), free_points(GAP, 200)
-    sources = oracle.sources
-    np.testing.assert_array_equal(sources.points, oracle.graph.vertices)
-    np.testing.assert_array_equal(sources.distances, oracle.distances)
-    reached = np.isfinite(sources.distances)
-    onward = sources.distances[sources.parents] + np.linalg.norm(
-        sources.points - sources.points[sources.parents], axis=1
-    )
-    np.testing.assert_allclose(onward[reached], sources.distances[reached])
-    assert sources.parents[0] == 0 and (sources.parents[~reached] == np.flatnonzero(~reached)).all()
-    through = sources.distances + np.linalg.norm(x[:, None] - sources.points, axis=2)
-    assert np.abs(through - oracle(x)[:, None]).min(axis=1).max() < 1e-12
-
-
-def test_no_cones_of_lengths_that_are_not_euclidean():
-    weighted = roadmap(NOTHING, num_samples=5, weights=(1, 2))
-    for oracle in (weighted, roadmap(NOTHING, (3.0, 0.9), 50, CYLINDER)):
-        with pytest.raises(ValueError, match="Distances to sources are Euclidean"):
-            _ = oracle.sources
-    with pytest.raises(ValueError, match="use continuous leaves or planes"):
-        construct(weighted, UNIT, leaf="cone", max_leaves=5)
-
-
 def motion_tests(resolution, is_free=lambda x: np.ones(len(x), bool), domain=LINE, **options):
     """The sampled test of motions of a roadmap, and the list of all configurations that it tests."""
     tested = []

@@ -7,9 +7,11 @@ import zlib
 import numpy as np
 import pytest
 
+from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.partition.cells import Cells, Level, levels_of, tree_of, tree_of_levels
@@ -107,6 +109,9 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
     if leaf == "plane":
         center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
         stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
+    elif leaf == "cone":
+        sources = Sources(rng.normal(size=(5, dim)), rng.random(5), np.arange(5))
+        stored = ConeFiles(sources, Box(np.full(dim, -5.0), np.full(dim, 5.0))).stored(rng.integers(5, size=len(cells)))
     else:
         faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)

@@ -8,7 +8,7 @@ import numpy as np
 from plr_helpers import chain, random_contents
 from slow_polynomials import polynomial_numbers
 
-from plr_jax import PLR, Box, Dubins, Euclidean, ReedsShepp, VisibilityGraph, construct, from_bytes, scenes
+from plr_jax import PLR, Box, Dubins, Euclidean, ReedsShepp, VisibilityGraph, Workspace, construct, from_bytes, scenes
 from plr_jax.plr._file import encode
 
 TURNS = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
@@ -36,7 +36,7 @@ CASES = {
     "maze of values": lambda: _maze("continuous", 400),
     "maze of gradients": lambda: _maze("smooth", 300),
     "maze of cones": lambda: _maze("cone", 300),
-    "cones in space": lambda: construct(Euclidean((0.3, 0.1, 2)), ((-1, -1, -1), (3, 2, 2)), leaf="cone"),
+    "cones in space": lambda: _random(3, "cone", 7),
     "one leaf": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="plane", max_leaves=1),
     "one cell": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="continuous", max_leaves=1),
     "random planes on a line": lambda: _random(1, "plane", 1),
@@ -55,7 +55,9 @@ CASES = {
     "car that only goes forward": lambda: construct(Dubins((0, 0, 1), 1), TURNS, leaf="continuous", max_leaves=100),
     "straight": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="plane", max_leaves=20),
     "far planes": lambda: construct(Euclidean((5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="plane", max_leaves=50),
-    "far cones": lambda: construct(Euclidean((5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="cone"),
+    "far cones": lambda: construct(
+        VisibilityGraph(Workspace(GRID_ZONE), (5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="cone"
+    ),
     "far around": lambda: construct(_waves, Box((1000, 3), (1003, 3.5), periodic=(False, True)), max_leaves=40),
     "far car": lambda: construct(ReedsShepp((1e3, -1e3, 2), 1), FAR_TURNS, leaf="continuous", max_leaves=100),
 }

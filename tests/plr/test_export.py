@@ -11,7 +11,7 @@ import pytest
 from jax import export
 from portable_helpers import case
 
-from plr_jax import Euclidean, Workspace, construct, construct_pairs, stack
+from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, construct, construct_pairs, stack
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
 
@@ -73,11 +73,11 @@ def test_of_any_number_of_points(name, pairs):
 
 def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
-    domain = (-1, -1, -1), (3, 2, 2)
-    one, other = (construct(Euclidean((0.3, 0.1, z)), domain, leaf="cone") for z in (2, 1))
+    domain = Box((-1, -1), (3, 2))
+    one, other = (construct(VisibilityGraph(Workspace(domain), (0.3, y)), domain, leaf="cone") for y in (0, 1))
     arrays, structure = jax.tree.flatten(one)
     assert jax.tree.structure(other) == structure  # one program for all PLRs of a class
-    x = points(50, 3)
+    x = points(50, 2)
 
     def query(arrays, x):
         return jax.tree.unflatten(structure, arrays)(x)

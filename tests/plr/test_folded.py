@@ -74,14 +74,11 @@ def test_weights_count_where_any_image_has_one():
     assert one_side.to_bytes() == construct(*CASES["about"], max_leaves=40).to_bytes()
 
 
-def test_nothing_is_folded_of_a_function_that_states_nothing_or_for_cones():
+def test_nothing_is_folded_of_a_function_that_states_nothing():
     oracle, domain = CASES["straight"]
-    for plr in (
-        construct(partial(Euclidean.__call__, oracle), domain, max_leaves=9),
-        construct(oracle, domain, leaf="cone", max_leaves=2),
-    ):
-        assert plr.tables.folding is None and plr.tables.radial == () and plr.folded_domain == plr.domain
-        assert Container.from_bytes(plr.to_bytes()).folding is None
+    plr = construct(partial(Euclidean.__call__, oracle), domain, max_leaves=9)
+    assert plr.tables.folding is None and plr.tables.radial == () and plr.folded_domain == plr.domain
+    assert Container.from_bytes(plr.to_bytes()).folding is None
 
 
 def test_folded_planes_are_refined_but_not_what_is_not_known_of_folded_points():

@@ -173,11 +173,11 @@ def test_cones_and_proofs_are_refused():
     for options in ({}, {"max_bytes": 500}):
         with pytest.raises(ValueError, match="Leaves of kind 'cone' hold Euclidean distances"):
             construct(Euclidean(GOAL), CYLINDER, leaf="cone", **options)
-    cones = construct(Euclidean((0.5, 0.5)), UNIT, leaf="cone", max_leaves=5)
+    oracle = VisibilityGraph(Workspace(UNIT), (0.5, 0.5))
+    cones = construct(oracle, UNIT, leaf="cone", max_leaves=5)
     domain = Box((0, 0), (1, 1), periodic=(True, False))
     with pytest.raises(ValueError, match="Use continuous ones or planes"):
         from_bytes(encode(replace(cones._contents, domain=domain)))
-    oracle = VisibilityGraph(Workspace(UNIT), (0.5, 0.5))
     with pytest.raises(ValueError, match="the plane, which has no periodic axis"):
         construct(oracle, domain, certified=True)
     with pytest.raises(ValueError, match="Build the PLR without one"):

@@ -118,13 +118,6 @@ def test_corners_that_the_file_rounds_are_no_walls():
     assert np.abs(traces.lengths / exact(starts) - 1)[traces.arrived].max() < 1e-3
 
 
-def test_ways_on_a_line():
-    plr = construct(lambda q: np.abs(q[:, 0] - 0.3), Box([0], [1]), leaf="cone", max_leaves=50)
-    traces = trace(plr, np.linspace(0, 1, 50)[:, None])
-    assert traces.arrived.all()
-    np.testing.assert_allclose(traces.paths[:, -1], 0.3, atol=1e-6)
-
-
 def test_a_way_may_end_at_a_root_that_is_not_the_goal_but_in_no_circle():
     plr = from_bytes(of_sources([[20, 20], [50, 50]], [0, 0], [3.0, 0.0], source=1))
     traces = trace(plr, [[0.9, 0.9], [0.2, 0.2]])

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from plr_jax._arrays import shortened
-from plr_jax._types import DistanceFn, Distances, Points, SourcedFn, Sources
+from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.plr.sampling.cell_fit import call_oracle
 
 _AT_ONCE = 1024  # points that a worker is asked for, however many workers there are
@@ -65,23 +65,6 @@ class AskedFn:
             return future.result()
         except BrokenExecutor:
             return call_oracle(self.distance_fn, x)
-
-
-@dataclass(frozen=True, eq=False)
-class AskedSourcedFn(AskedFn):
-    """One that offers its sources."""
-
-    @property
-    def sources(self) -> Sources:
-        """Its sources."""
-        assert isinstance(self.distance_fn, SourcedFn)
-        return self.distance_fn.sources
-
-
-def asked(distance_fn: DistanceFn, executor: Executor | None, kept: Kept | None) -> AskedFn:
-    """That of a distance function, which offers what is needed of it."""
-    kind = AskedSourcedFn if isinstance(distance_fn, SourcedFn) else AskedFn
-    return kind(distance_fn, executor, kept)
 
 
 def as_executor(executor: object) -> Executor | None:

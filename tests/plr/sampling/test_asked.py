@@ -53,27 +53,24 @@ class Breaking(Executor):
         return future
 
 
-@pytest.mark.parametrize("leaf", ["plane", "cone"])
-def test_workers_give_the_same_bytes_and_what_dead_ones_leave_is_asked_here(roadmap, leaf, monkeypatch):
+def test_workers_give_the_same_bytes_and_what_dead_ones_leave_is_asked_here(roadmap, monkeypatch):
     monkeypatch.setattr(asked, "_AT_ONCE", 50)
-    expected, breaking = build(roadmap, leaf), Breaking()
+    expected, breaking = build(roadmap), Breaking()
     with ThreadPoolExecutor(3) as executor:
-        assert build(roadmap, leaf, executor=executor) == expected
-    assert build(roadmap, leaf, executor=breaking) == expected
+        assert build(roadmap, executor=executor) == expected
+    assert build(roadmap, executor=breaking) == expected
     assert breaking.count > 4
-    if leaf == "plane":
-        with ProcessPoolExecutor(1, mp_context=get_context("forkserver")) as executor:
-            assert build(roadmap, executor=executor) == expected
+    with ProcessPoolExecutor(1, mp_context=get_context("forkserver")) as executor:
+        assert build(roadmap, executor=executor) == expected
 
 
-@pytest.mark.parametrize("leaf", ["plane", "cone"])
-def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, leaf, tmp_path):
+def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, tmp_path):
     whole = Counted(roadmap)
-    expected = build(whole, leaf, checkpoint=tmp_path / "whole")
+    expected = build(whole, checkpoint=tmp_path / "whole")
     runs = [Counted(roadmap, 3) for _ in range(whole.count)]  # that are asked once for what they are, and twice more
     for run in runs:
         with suppress(RuntimeError):
-            plr = build(run, leaf, checkpoint=tmp_path / "parts")
+            plr = build(run, checkpoint=tmp_path / "parts")
             break
     assert plr == expected
     ended = runs.index(run)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import shortened
 from plr_jax._types import ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
@@ -28,7 +29,6 @@ from plr_jax.plr.leaves.cone.best import best_cones_of_goal
 from plr_jax.plr.leaves.cone.changed_sources import coded_sources
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
-from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.updated import updated_cones
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
@@ -53,25 +53,26 @@ class Cone(FamilyLeafModel):
         """Half a byte each, and what some tens of sources take."""
         return num_leaves // 2 + 256
 
-    def least_samples(self, dim: int) -> int:
-        """So many determine a cone, and show an error."""
-        return dim + 3
-
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredCones]:
-        """The best partition of all, where the distance function answers for whole cells; else grown from samples.
-
-        Weights and rules of the caller's are of samples.
-        """
+        """Find the best partition of all, of a distance function that answers for whole cells."""
         _require_euclidean(sampler.domain)
-        is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
-        if is_default and sampler.memory is not None:
-            domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
-            if not len(visible.cell):
-                sampler.root()  # which says so
-            run = partial(grow, limits=limits)
-            _, cells, stored = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
-            return cells, stored
-        return grow_from_samples(sampler, rules, limits)
+        if sampler.memory is None:
+            raise ValueError(
+                "Leaves of kind 'cone' need a distance function in the plane that tells which corners whole cells "
+                f"see, as a VisibilityGraph does, got {shortened(sampler.distance_fn)} in {sampler.domain.dim} "
+                "dimensions. Use leaf='continuous' for any other."
+            )
+        if sampler.weight_fn is not None or rules != Rules(largest_error, best_axis):
+            raise ValueError(
+                "Leaves of kind 'cone' are chosen by proven errors of whole cells; weight_fn, should_split and split "
+                "are for leaves that are fitted to samples. Leave them out, or use leaf='continuous'."
+            )
+        domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
+        if not len(visible.cell):
+            sampler.root()  # which says so
+        run = partial(grow, limits=limits)
+        _, cells, stored = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        return cells, stored
 
     def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:
         """What finds the best partitions for many goals at once; samples only choose sources in sight."""

@@ -9,7 +9,7 @@ import pytest
 from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax import Box, VisibilityGraph, Workspace, scenes
+from plr_jax import Box, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
 from plr_jax.plr import construct, from_bytes
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.leaves import leaf_model
@@ -146,6 +146,21 @@ def test_where_nothing_is_reached_and_for_too_few_bytes_the_construction_says_so
         construct(oracle, ((7, 0), (10, 10)), leaf="cone")
     with pytest.raises(ValueError, match="max_bytes=20 is too small: one leaf takes"):
         construct(maze, UNIT, leaf="cone", max_bytes=20)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"distance_fn": lambda x: np.abs(x[:, 0])}, "Use leaf='continuous' for any other"),
+        ({"domain": ((0, 0, 0), (1, 1, 1)), "distance_fn": lambda x: x[:, 0]}, "in 3 dimensions"),
+        ({"weight_fn": lambda x: 1 + x[:, 0]}, "or use leaf='continuous'"),
+        ({"should_split": maximum_depth}, "or use leaf='continuous'"),
+        ({"split": cyclic_axis}, "or use leaf='continuous'"),
+    ],
+)
+def test_cones_are_not_found_from_samples(maze, options, message):
+    with pytest.raises(ValueError, match=message):
+        construct(**{"distance_fn": maze, "domain": UNIT, "leaf": "cone", "max_leaves": 9, **options})
 
 
 @pytest.mark.parametrize("max_bytes", [261, 661])
