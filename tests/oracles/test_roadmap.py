@@ -11,7 +11,7 @@ import shapely
 from jaxtyping import TypeCheckError
 from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, length, roadmap
 
-from plr_jax import Box, Roadmap, Workspace, construct, scenes
+from plr_jax import Box, Roadmap, Workspace, scenes
 from plr_jax.oracles._roadmap import prm_star_radius
 
 PI = np.pi

@@ -111,7 +111,9 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
         stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
     elif leaf == "cone":
         sources = Sources(rng.normal(size=(5, dim)), rng.random(5), np.arange(5))
-        stored = ConeFiles(sources, Box(np.full(dim, -5.0), np.full(dim, 5.0))).stored(rng.integers(5, size=len(cells)))
+        stored = ConeFiles(sources, Box(np.full(dim, -5.0), np.full(dim, 5.0))).stored(
+            rng.integers(5, size=len(cells))
+        )
     else:
         faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)

@@ -11,7 +11,7 @@ import pytest
 from jax import export
 from portable_helpers import case
 
-from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, construct, construct_pairs, stack
+from plr_jax import Box, VisibilityGraph, Workspace, construct, construct_pairs, stack
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
 

@@ -76,7 +76,7 @@ def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, tmp_path):
     ended = runs.index(run)
     assert ended > 2 and 2 * ended + run.count - 1 == whole.count - 1
     assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
-    assert build(Counted(roadmap, 1), leaf, checkpoint=tmp_path / "whole") == expected
+    assert build(Counted(roadmap, 1), checkpoint=tmp_path / "whole") == expected
 
 
 def test_folded_distances_are_kept_as_well(tmp_path):
