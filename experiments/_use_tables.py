@@ -194,29 +194,6 @@ def pictures(results: dict[str, Any]) -> str:
     )
 
 
-def wire(results: dict[str, Any]) -> str:
-    """Bytes of progressive files beside one-shot ones of equal error, and what is fetched of a file."""
-    table = formatted(
-        (row | {"ends": ", ".join(f"{mark:,}" for mark in row["marks"])} for row in results["sizes"]["rows"]),
-        *(("leaf", "{leaf}"), ("a part is", "{factor} times its coarser one"), ("parts end at byte", "{ends}")),
-        ("bytes / one-shot", "{ratio:.3f}"),
-        words=3,
-    )
-    fetched = formatted(
-        results["ranges"]["rows"],
-        *(("asked", "{part}"), ("requests", "{requests}"), ("bytes fetched", "{sent:,}"), ("of", "{size:,}")),
-        ("share", "{share:.3f}"),
-    )
-    files = results["prefixes"]["rows"]
-    beyond = [count for row in files for count in row["beyond"].values()]
-    headers = ", ".join(f"{what} {size}" for what, size in results["sizes"]["headers"].items())
-    return f"{table}\n{fetched}" + (
-        f"\nOf {len(beyond)} prefixes of {len(files)} files, of all leaves and 1 to 6 dimensions, {sum(beyond)} of "
-        f"{results['prefixes']['points']:,} answers each are beyond their bounds. Header, domain and checksum: "
-        f"{headers} bytes.\n"
-    )
-
-
 def readers(results: dict[str, Any]) -> str:
     """What code and numbers take in C, and what a point costs in C and in NumPy."""
     table = formatted(

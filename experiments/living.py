@@ -6,8 +6,7 @@ two walls, where that is narrowest of several places) or opens it again. Told ar
 cores of what each takes, and of both built anew, every tenth time. Then bounds are tested at random free points, a
 tenth of them around what has changed since, against an oracle that is built anew; broken is one beyond the truth by
 more than queries in 32 bits round. Errors are means at such points, as shares of the mean distance, of the PLR after
-all changes and of one built anew. What is sent of a change, a delta, is patched in NumPy, to the same bytes; told are
-the median and the 95th percentile of its bytes.
+all changes and of one built anew.
 
 ``sequences``: random sequences of changes of small maps, of boxes and polygons that touch, overlap, leave slivers,
 lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
@@ -65,7 +64,7 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
     oracle, plr = _anew(workspace, goal, num_bytes)
     made: list[int] = []
     seconds: dict[str, list[float]] = {"workspace": [], "oracle": [], "cones": [], "anew": []}
-    around, broken, errors, largest, deltas = [], 0, {}, plr.num_bytes, []
+    around, broken, errors, largest = [], 0, {}, plr.num_bytes
     for step in range(1, (2 if smoke else CHANGES) + 1):
         change = _change(rng, oracle, made)
         around += change.get("add", [workspace.obstacles[i] for i in change.get("remove", ())])
@@ -74,11 +73,8 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
         seconds["workspace"].append(took)
         took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
         seconds["oracle"].append(took)
-        old = plr
         took, plr = timed(lambda plr=plr, oracle=oracle: plr.updated(oracle))
         seconds["cones"].append(took)
-        deltas.append(len(delta := plr.delta(old)))
-        assert old.numpy().patched(delta).to_bytes() == plr.to_bytes()
         made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
         largest = max(largest, plr.num_bytes)
         if step % (1 if smoke else EVERY) == 0:
@@ -103,8 +99,6 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
         "bounds broken": broken,
         **{f"error, {key}": each for key, each in errors.items()},
         "bytes at most": largest,
-        "bytes of a delta": float(np.median(deltas)),
-        "bytes of a delta, 95 %": float(np.percentile(deltas, 95)),
     }
 
 
@@ -334,7 +328,7 @@ def doors(seed: int, smoke: bool) -> dict[str, Any]:
     changes = [{"add": [box]} for box in boxes] + [{"remove": [first + i]} for i in closed]
     words = ["all doors open", *(f"door {i + 1} closes" for i in closed), *(f"door {i + 1} opens" for i in closed)]
     for word, change in zip(words, [None, *changes], strict=True):
-        old, took = plr, 0.0
+        took = 0.0
         if change is not None:
             workspace = workspace.with_obstacles(**change)
             took, oracle = timed(lambda oracle=oracle, workspace=workspace: oracle.with_workspace(workspace))
@@ -345,7 +339,6 @@ def doors(seed: int, smoke: bool) -> dict[str, Any]:
             {
                 "word": word,
                 "ms": 1e3 * took,
-                "bytes of the delta": 0 if change is None else len(plr.delta(old)),
                 "closed": [
                     i for i in closed if i + first < len(workspace.obstacles) and not _is_gone(workspace, i + first)
                 ],
@@ -386,7 +379,7 @@ def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
         for path in picture["paths"]:
             ax.plot(*np.array(path).T, color="white", linewidth=3, zorder=4)
             ax.plot(*np.array(path).T, color="#d1495b", linewidth=1.6, zorder=4)
-        told = f": {picture['ms']:.0f} ms, {picture['bytes of the delta']:,} bytes to send" if picture["ms"] else ""
+        told = f": {picture['ms']:.0f} ms" if picture["ms"] else ""
         ax.set_title(picture["word"] + told, fontsize=11)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()

@@ -17,7 +17,7 @@ from experiments._browser import IS_DRAWN, IS_OPEN, Browser, axe_core, chromium
 from experiments._js_modules import NodeModule
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
-from plr_jax import PLR, Box, PairPLR, VisibilityGraph, construct, construct_pairs, plot, progressive, scenes
+from plr_jax import PLR, Box, PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
 
 NUM_POINTS, CHUNK, NUM_FILES = 1_000_000, 100_000, 2_000
 PAIR_BYTES, CONE_BYTES = {"maze": 1_024, "arena": 16_384}, 1_024
@@ -96,8 +96,6 @@ def _different(found: np.ndarray, expected: np.ndarray) -> int:
 def pages(seed: int, smoke: bool) -> dict[str, Any]:
     problem, cones = scenes.maze(), _cones()
     shown = {"maze, cones": plot.page(cones, problem.workspace)}
-    sizes = [_cones(max_bytes) for max_bytes in (200, 400)]
-    shown["maze, three sizes of cones"] = plot.page(progressive([*sizes, cones]), problem.workspace)
     shown["maze, planes"] = plot.page(portable.plrs(2048)["maze, planes"](), problem.workspace)
     shown |= {f"{name}, pairs": plot.page(pairs) for name, pairs in _pairs(smoke).items()}
     rows = []
@@ -186,7 +184,7 @@ def hostile(seed: int, smoke: bool) -> dict[str, Any]:
     sys.path.append(str(_TESTS))
     hostile_files, readers = import_module("hostile_files"), import_module("hostile_readers")
     pairs = _pairs(smoke=True)["maze"]
-    valid = [_cones(400).to_bytes(), progressive([_cones(200), _cones(400)]).to_bytes(), pairs.to_bytes()]
+    valid = [_cones(400).to_bytes(), _cones(200).to_bytes(), pairs.to_bytes()]
     valid.append(construct(_waves, ((0, 0), (2, 2)), max_leaves=30).to_bytes())
     reader = readers.Reader(lambda path: None, ".plr", lambda: valid, readers.READERS["PLR"].repaired)
     shown, said, seconds, failed = 0, set(), [], 0

@@ -93,7 +93,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "query": (distances.query, "benchmark.query"),
     "oracle": (distances.oracle, "benchmark.oracle"),
     "pictures": (uses.pictures, "maps"),
-    "wire": (uses.wire, "wire"),
     "readers": (uses.readers, "portable"),
     "modules": (uses.modules, "page"),
     "pages": (uses.pages, "page"),

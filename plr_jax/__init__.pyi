@@ -67,7 +67,6 @@ from .plr import TraceStatus as TraceStatus
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
 from .plr import certify as certify
-from .plr import coarsen as coarsen
 from .plr import construct as construct
 from .plr import construct_many as construct_many
 from .plr import cyclic_axis as cyclic_axis
@@ -78,11 +77,9 @@ from .plr import least_squares as least_squares
 from .plr import load_numpy as load_numpy
 from .plr import maximum_depth as maximum_depth
 from .plr import midrange as midrange
-from .plr import progressive as progressive
 from .plr import refine as refine
 from .plr import stack as stack
 from .plr import trace as trace
-from .remote import open_url as open_url
 from .robots.robot import Robot as Robot
 from .robots.shapes import DiscRobot as DiscRobot
 from .robots.shapes import PointRobot as PointRobot

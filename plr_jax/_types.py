@@ -26,8 +26,7 @@ coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little
 function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`,
-:class:`RadialFn`.
+:class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -322,31 +321,6 @@ class SymmetricFn(Protocol):
 
     @property
     def symmetries(self) -> Sequence[Symmetry]: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
-
-
-@dataclass(frozen=True, eq=False)
-class RadialPart:
-    """The straight-line distance to a point, along some axes.
-
-    Attributes:
-        center: The point.
-        axes: The axes along which it is measured, one bool an axis.
-    """
-
-    center: Float[np.ndarray, "dim"]
-    axes: tuple[bool, ...]
-
-
-@runtime_checkable
-class RadialFn(Protocol):
-    """A distance function that is nowhere below a straight-line distance, and more evenly curved without it.
-
-    What is left, the rest, bends less than the distance does, as of cars; a PLR then stores the rest.
-    """
-
-    @property
-    def radial_part(self) -> RadialPart: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 

@@ -7,10 +7,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from socketserver import BaseRequestHandler, ThreadingTCPServer
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -132,30 +129,8 @@ def _plr_files() -> list[bytes]:
     ]
     plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
     turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
-    plrs += [plr_jax.progressive([plrs[2], plrs[0]]).with_label("room"), construct(*turned, max_leaves=6)]
+    plrs += [plrs[0].with_label("room"), construct(*turned, max_leaves=6)]
     return [plr.to_bytes() for plr in plrs]
-
-
-@cache
-def _patched_plrs() -> tuple[plr_jax.PLR, list[bytes]]:
-    """Cones, and deltas of them: of another map's cones, and of planes, whose delta is the whole file."""
-    walls = [[(0.4, 0.1 * i), (0.5, 0.1 * i), (0.5, 0.1 * i + 0.6)] for i in range(2)]
-    box = Box((0, 0), (1, 1))
-    oracles = [plr_jax.VisibilityGraph(Workspace(box, [wall]), (0.1, 0.1)) for wall in walls]
-    old, new = (construct(oracle, box, leaf="cone", max_bytes=400, certified=True) for oracle in oracles)
-    return old, [other.delta(old) for other in (new, construct(oracles[0], box, max_leaves=10))]
-
-
-def _read_delta(path: Path) -> Any:
-    try:
-        return _patched_plrs()[0].patched(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def _of_the_base(data: bytes) -> bytes:
-    """A delta that names the file that it is of, which a reader looks at first."""
-    return data[:3] + _patched_plrs()[1][0][3:7] + data[7:]
 
 
 def _pairs_files() -> list[bytes]:
@@ -256,39 +231,6 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
-class _Answers(BaseRequestHandler):
-    """Sends the file that is asked for as it is: it is an answer with its status and headers."""
-
-    def handle(self) -> None:
-        request = self.request.recv(1 << 16)
-        self.request.sendall(Path(request.split()[1].decode()).read_bytes())
-
-
-@cache
-def _server() -> str:
-    """The address of a server of such answers on this machine."""
-    server = ThreadingTCPServer(("127.0.0.1", 0), _Answers)
-    server.daemon_threads = True
-    Thread(target=server.serve_forever, daemon=True).start()
-    return f"http://127.0.0.1:{server.server_address[1]}"
-
-
-def _read_answer(path: Path) -> Any:
-    return plr_jax.open_url(f"{_server()}{path}", timeout=2.0)
-
-
-def _answer_files() -> list[bytes]:
-    data = _plr_files()[4]
-    heads = [
-        f"200 OK\r\nContent-Length: {len(data)}\r\n",
-        f'206 Partial Content\r\nContent-Range: bytes 0-{len(data) - 1}/{len(data)}\r\nETag: "1"\r\n',
-        "200 OK\r\nContent-Type: application/octet-stream\r\n",
-    ]
-    answers = [f"HTTP/1.1 {head}Connection: close\r\n\r\n".encode() + data for head in heads]
-    chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
-    return [*answers, chunked + f"{len(data):x}\r\n".encode() + data + b"\r\n0\r\n\r\n"]
-
-
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
@@ -310,6 +252,4 @@ READERS = {
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
-    "delta": Reader(_read_delta, ".delta", lambda: _patched_plrs()[1], _of_the_base),
-    "HTTP": Reader(_read_answer, ".http", _answer_files),
 }

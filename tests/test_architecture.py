@@ -19,7 +19,7 @@ LAYERS = [
     ["oracles", "plr", "planners", "spaces", "traced"],
     ["pairs"],
     ["_io"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal", "remote", "ompl"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal", "ompl"],
     ["cli"],
     ["__main__"],
 ]
@@ -33,14 +33,13 @@ PLR_LAYERS = [
     ["_file"],
     ["_proof"],
     ["_update"],
-    ["delta"],
     ["portable"],
     ["_plr"],
     ["_assembly", "_location", "_stack"],
     ["_certify"],
     ["_best", "_checkpoint", "_trace", "refinement"],
     ["_chunks", "_construct"],
-    ["_construct_many", "_coarsen"],
+    ["_construct_many"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

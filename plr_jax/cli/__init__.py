@@ -57,7 +57,7 @@ def _send_again(lost: "sys.UnraisableHookArgs") -> None:
 def load_app() -> "typer.Typer":
     """The application with all its commands, imported only here."""
     # Importing the commands registers them; the help lists them in this order.
-    from plr_jax.cli import _commands, _delta, _export, _plan  # noqa: F401
+    from plr_jax.cli import _commands, _export, _plan  # noqa: F401
     from plr_jax.cli._app import app
 
     return app

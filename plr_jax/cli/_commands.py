@@ -110,15 +110,6 @@ def build(
     radius: RadiusOption = None,
     box: BoxOption = None,
     enclosed: EnclosedOption = None,
-    prefix: Annotated[
-        list[int] | None,
-        typer.Option(
-            metavar="BYTES",
-            help="Begin the file with a coarser one of at most so many bytes and with its own proof, for who fetches "
-            "no more. May be given again and again.",
-            show_default=False,
-        ),
-    ] = None,
 ) -> None:
     """Compress the distance to a goal in a MAP into a small file, with a proof of its largest error.
 
@@ -128,7 +119,6 @@ def build(
     from plr_jax import metrics
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import NumpyPLR
-    from plr_jax.plr.file.container import Header
     from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
@@ -139,7 +129,7 @@ def build(
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
     if is_volume(map):
-        others = {"max_depth": max_depth, "oracle": oracle, "prefix": prefix or None, "threshold": threshold}
+        others = {"max_depth": max_depth, "oracle": oracle, "threshold": threshold}
         others |= {"drop_specks": drop_specks, "polygons": polygons, "leaf": None if leaf in VOLUME_LEAVES else leaf}
         limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "tolerance": tolerance, "seed": seed}
         build_volume(NamedVolume(map, goal, resolution, box, enclosed, radius), output, others=others, **limits)
@@ -158,10 +148,9 @@ def build(
     with saying("finding what corners see"):
         exact = prepared_oracle(workspace, goal_point, oracle)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    container, built, errors, interrupted = build_file(
-        exact, str(named.to(goal_point)), prefix or (), leaf, leaf_bounds, seed=seed, **limits
-    )
-    data, leaves, name = container.to_bytes(), built.contents.cells, built.contents.leaf.name
+    label = str(named.to(goal_point))
+    data, built, errors, interrupted = build_file(exact, label, leaf, leaf_bounds, seed=seed, **limits)
+    leaves, name = built.cells, built.leaf.name
     write_atomically(output, data)
     if interrupted:
         typer.echo(f"Interrupted: {output} holds the {len(leaves):,} leaves built so far.", err=True)
@@ -170,12 +159,10 @@ def build(
     # A seed of its own, so that the error is not measured where the planes were fitted.
     with saying("measuring the error"):
         report = metrics.error_map(NumpyPLR(data), exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
-    marks = ", ".join(f"{mark:,}" for mark in Header.read(data).marks)
-    begins = f", coarser in its first {marks}" if marks else ""
     depth = leaves.depth.sum(axis=1).max()
-    typer.echo(f"wrote   {output}: {len(data):,} bytes{begins}; {len(leaves):,} leaves, depth {depth}")
+    typer.echo(f"wrote   {output}: {len(data):,} bytes; {len(leaves):,} leaves, depth {depth}")
     others = ", ".join(f"{other} {error:.3g}" for other, error in errors.items() if other != name)
-    proven = f"{name}: no error above {built.max_error:.3g}, proven"
+    proven = f"{name}: no error above {errors[name]:.3g}, proven"
     typer.echo(f"leaf    {proven} ({others})" if others else f"leaf    {proven}")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     typer.echo(

@@ -25,7 +25,6 @@ from plr_jax.cli._options import (
     "plr-jax export maze.plr -o plr_maze.h",
     "plr-jax export maze.plr -o include/maze.h --name level_1",
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
-    "plr-jax export maze.plr -o maze.h --tables maze.tables",
     "plr-jax export maze.plr --js -o maze.mjs",
     "plr-jax export grid.pairs -o grid.h",
 )
@@ -47,9 +46,8 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the tables apart (.tables, .bin), for the header to load: of a map that changes they are "
-            "written again, and nothing is compiled again.",
-            show_default="in the header",
+            help="Of pairs of a grid: where the tables are written (.tables, .bin).",
+            show_default="beside the header",
         ),
     ] = None,
 ) -> None:
@@ -62,8 +60,8 @@ def export(
     from plr_jax.plr import load_numpy
 
     require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
-    if js and (name is not None or tables is not None):
-        raise ValueError("--name and --tables are for headers of C: a module has its tables, and exports one name.")
+    if js and name is not None:
+        raise ValueError("--name is for headers of C: a module exports one name.")
     is_of_pairs = file_holds_pairs(file)
     held: Any = loaded(file) if is_of_pairs else load_numpy(file)
     if is_of_grid := hasattr(held, "window"):
@@ -72,6 +70,10 @@ def export(
         if goal is not None:
             raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
         tables = tables or output.with_suffix(".tables")
+    elif tables is not None:
+        raise ValueError(
+            f"--tables is for pairs of cells of a grid, whose tables are a file; leave it out for {file}."
+        )
     elif is_of_pairs and not (js and goal is None):
         held = goal_of_pairs(held, file, goal)
     elif goal is not None:
@@ -84,7 +86,7 @@ def export(
         header = held.c_header(name)
         text, table = header.text, header.table
     else:
-        text, table = held.c_header(name, loads_tables=tables is not None), b"" if tables is None else held.c_tables()
+        text, table = held.c_header(name), b""
     told = f"wrote {output}: {len(text):,} bytes of text"
     if tables is not None:
         write_atomically(tables, table)

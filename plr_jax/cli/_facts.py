@@ -7,7 +7,7 @@ from typing import Any
 def facts_of(held: Any) -> dict[str, Any]:
     """What JSON can hold of a PLR or of pairs."""
     from plr_jax._arrays import told
-    from plr_jax.plr import PLR, from_bytes
+    from plr_jax.plr import PLR
 
     is_plr, domain = isinstance(held, PLR), held.domain
     facts = {
@@ -21,9 +21,7 @@ def facts_of(held: Any) -> dict[str, Any]:
     facts |= {name: getattr(held, name) for name in names if hasattr(held, name)}
     if not is_plr:  # whose tables may take long to make
         return facts
-    parts = [from_bytes(held.to_bytes()[:mark]) for mark in held.file_marks]
-    coarser = [{name: getattr(part, name) for name in ("num_bytes", "num_leaves", "max_error")} for part in parts]
-    return facts | {"leaf": held.leaf.name, "resident_bytes": held.resident_bytes, "coarser": coarser}
+    return facts | {"leaf": held.leaf.name, "resident_bytes": held.resident_bytes}
 
 
 def lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -44,9 +42,6 @@ def lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
         if facts.get("num_landmarks"):
             yield "landmarks", f"{facts['num_landmarks']:,}, by which distances are bounds"
         yield "bytes", f"{facts['num_bytes']:,} in the file"
-    for part in facts.get("coarser", ()):
-        leaves = f"{part['num_leaves']:,} leaves, proof {_proof_of(part)}"
-        yield "coarser", f"in its first {part['num_bytes']:,} bytes: {leaves}"
 
 
 def _proof_of(facts: dict[str, Any]) -> str:

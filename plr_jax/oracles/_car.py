@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_finite_point, as_points
-from plr_jax._types import ArrayLike, Distances, RadialPart, Symmetry
+from plr_jax._types import ArrayLike, Distances, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, "n"]
 Vectors: TypeAlias = tuple[Batch, Batch]
@@ -63,11 +63,6 @@ class _Car(ABC):
     def __init__(self, goal: ArrayLike, radius: float | int):
         goal = as_finite_point("The goal pose", goal, 3)
         vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
-
-    @property
-    def radial_part(self) -> RadialPart:
-        """The straight line to the goal, than which no path is shorter."""
-        return RadialPart(self.goal, (True, True, False))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Length of the shortest path from each pose to the goal.

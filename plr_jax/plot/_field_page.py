@@ -60,9 +60,9 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
     It shows the distance as colors and contours, the walls, and the cells on demand. Under the pointer it tells the
     distance, its proven bounds, and the path: of cones from source to source, of other leaves down the slope, never
-    into a wall that is given. A click lets a swarm flow to the goal. Of pairs both ends can be dragged. A file of
-    several PLRs (see :func:`progressive`) has a slider over them. Other files of cones or pairs may be dropped on the
-    page. Its answers are those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
+    into a wall that is given. A click lets a swarm flow to the goal. Of pairs both ends can be dragged. Other files
+    of cones or pairs may be dropped on the page. Its answers are those of ``plr.numpy()`` and ``pairs.numpy()``, bit
+    for bit.
 
     Args:
         plr_or_pairs: What is shown, in the plane.
@@ -94,8 +94,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
-        modules = ", ".join(_module(data[:mark]) for mark in (*held.file_marks, len(data)))
-        content |= {"box": json.dumps(box), "modules": f"[{modules}]"}
+        content |= {"box": json.dumps(box), "modules": f"[{_module(data)}]"}
     told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
     script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
@@ -108,7 +107,7 @@ def _is_read_there(data: bytes) -> bool:
     """Whether the page itself reads a file."""
     container = Container.from_bytes(data)
     is_plain = container.folding is None and not container.domain.is_periodic
-    return is_plain and all(isinstance(leaf_of_code(layer.leaf_code), SourcedLeafModel) for layer in container.layers)
+    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), SourcedLeafModel)
 
 
 def _module(data: bytes) -> str:

@@ -1,7 +1,5 @@
 from ._assembly import from_bytes as from_bytes
 from ._certify import certify as certify
-from ._coarsen import coarsen as coarsen
-from ._coarsen import progressive as progressive
 from ._construct import construct as construct
 from ._construct_many import construct_many as construct_many
 from ._plr import PLR as PLR

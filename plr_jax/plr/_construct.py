@@ -138,9 +138,9 @@ def construct(
     Of a distance function that states ``symmetries``, as ``ReedsShepp`` and ``Euclidean`` do, a domain that they
     map onto itself in part is *folded*: points are mirrored into a smaller box, ``folded_domain``, and only that is
     partitioned and stored. Those are used that are reflections along common axes, none of which mixes a periodic axis
-    with others, and that make the box smaller than the domain. Of a distance function that states a ``radial_part``,
-    as those of cars do, what it is more than that is stored. Both are part of the file, and a query undoes them.
-    Neither is done for cones, for ``certified`` PLRs, nor for distance functions that answer for whole cells.
+    with others, and that make the box smaller than the domain. This is part of
+    the file, and a query undoes it. It is not done for cones, for ``certified`` PLRs, nor for distance functions that
+    answer for whole cells.
 
     Any limits may be combined; construction stops at the first that is met. Without any, at 512 leaves.
 

@@ -24,7 +24,6 @@ from plr_jax.plr._file import (
     planes_of_leaves,
 )
 from plr_jax.plr._update import Origin, require_updatable, updated_contents
-from plr_jax.plr.delta.file_delta import delta_of_files, patched_file
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile, held
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
@@ -216,33 +215,7 @@ class PLR(HeldFile):
         """The same in NumPy alone, by the arithmetic that is part of the file format: quick for a single point."""
         return NumpyPLR(self.to_bytes())
 
-    def delta(self, old: "PLR | NumpyPLR") -> bytes:
-        """What makes this PLR of another one, to be sent to whoever has that: see :meth:`patched`.
-
-        Of cones it tells what has changed: after a change of a map mostly some hundreds of bytes. Of other leaves,
-        and of another domain, it holds the whole file, deflated. The format is documented in
-        ``plr_jax/plr/delta/file_delta.py``.
-
-        Args:
-            old: The PLR that is to be patched.
-
-        Raises:
-            ValueError: If that is no PLR.
-        """
-        if not isinstance(old, PLR | NumpyPLR):
-            raise ValueError(f"A delta is from another PLR, got {shortened(old)}.")
-        return delta_of_files(old.to_bytes(), self.to_bytes())
-
-    def patched(self, delta: bytes) -> "PLR":
-        """The PLR of which :meth:`delta` was taken with this one as the old one: the same, byte for byte.
-
-        Raises:
-            ValueError: If the delta is damaged, or from another PLR.
-        """
-        data = patched_file(self.to_bytes(), delta)
-        return assembled(data, decode(data))
-
-    def c_header(self, name: str, *, loads_tables: bool = False) -> str:
+    def c_header(self, name: str) -> str:
         """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
 
         It defines ``float NAME_distance(const float x[dim])``, and of cones ``void NAME_waypoint(const float x[dim],
@@ -251,9 +224,6 @@ class PLR(HeldFile):
 
         Args:
             name: With which all that it defines begins, an identifier of C.
-            loads_tables: Whether it holds no tables, but ``int NAME_load(const void *data, uint32_t size)``, which
-                takes those of :meth:`c_tables`: of a map that changes the program needs not be compiled again, as all
-                PLRs of a domain and leaf model have this header.
 
         Returns:
             The text of the header.
@@ -261,14 +231,7 @@ class PLR(HeldFile):
         Raises:
             ValueError: If the name is no identifier.
         """
-        return self.numpy().c_header(name, loads_tables=loads_tables)
-
-    def c_tables(self) -> bytes:
-        """What a header that ``loads_tables`` loads: those of this PLR, several times as large as the file.
-
-        The format is documented in ``plr_jax/plr/portable/loaded_header.py``.
-        """
-        return self.numpy().c_tables()
+        return self.numpy().c_header(name)
 
     def js_module(self) -> str:
         """The same as one module of JavaScript, which imports nothing.
@@ -322,8 +285,7 @@ class PLR(HeldFile):
         lo, hi = self.cells.boxes(self.folded_domain)
         folding = self.container.folding
         x = self.folded_domain.image_near(x if folding is None else folding(x), (lo + hi)[leaf] / 2)
-        radius = 0.0 if folding is None else folding.radius(x)
-        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x) + radius)
+        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x))
 
     @property
     def leaf(self) -> LeafModel:
@@ -398,7 +360,7 @@ class PLR(HeldFile):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's (mean) plane, in the folded domain and without the radial part, if there is one."""
+        """Slope of every leaf's (mean) plane, in the folded domain."""
         return self._planes[1]
 
     @property

@@ -14,7 +14,6 @@ from plr_jax import VisibilityGraph, construct, load, save, scenes
 from plr_jax.cli._app import saying
 from plr_jax.cli._build import build_file
 from plr_jax.oracles.cells.cell_sources import VisibleSources
-from plr_jax.plr import _construct, from_bytes
 from plr_jax.plr.leaves import leaf_names
 
 MAZE = scenes.maze().workspace
@@ -102,29 +101,6 @@ def test_build_is_construct(path, tmp_path, monkeypatch):
     assert load("maze.plr").max_error == min(plr.max_error for plr in built.values())
 
 
-def test_build_begins_a_file_with_coarser_ones(path, tmp_path):
-    prefixes = (300, 1000)
-    options = [word for prefix in prefixes for word in ("--prefix", prefix)]
-    said = done("build", "maze", "-o", path, "--leaf", "cone", "--max-bytes", 4000, *options)
-    plr, data = load(path), path.read_bytes()
-    assert len(data) <= 4000 and len(plr.file_marks) == 2
-    x = MAZE.sample_free(2000, seed=0)
-    exact, errors = ORACLE(x), []
-    told = done("info", path)
-    for most, mark in zip((*prefixes, 4000), (*plr.file_marks, len(data)), strict=True):
-        assert most - 100 < mark <= most
-        found = from_bytes(data[:mark])
-        errors.append(found.max_error)
-        assert np.abs(np.asarray(found(x)) - exact).max() <= found.max_error
-        assert found.label == plr.label
-        proof = f"{found.num_leaves:,} leaves, proof largest error {found.max_error:.3g}\n"
-        assert (f"coarser    in its first {mark} bytes: {proof}" in told) == (mark < len(data))
-    assert errors == sorted(errors, reverse=True)
-    assert f"coarser in its first {plr.file_marks[0]}, {plr.file_marks[1]}" in said
-    path.write_bytes(data[: plr.file_marks[0]])
-    assert "coarser" not in done("info", path)
-
-
 def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(path, tmp_path):
     yard, ring = tmp_path / "yard.geojson", [[2, 2], [4, 2], [4, 3], [2, 2]]
     document = {"type": "Polygon", "coordinates": [ring]}
@@ -160,8 +136,6 @@ def test_what_a_reader_warns_of_is_a_line(path, tmp_path):
         ("bow.json", ["--goal", "0.5,0.1"], "bow.json"),
         ("maze", ["--goal", "0.5,0.45"], "goal [0.5, 0.45] lies in an obstacle"),
         ("maze", ["--goal", "1.5,0.5"], "goal [1.5, 0.5] lies outside the bounds"),
-        ("maze", ["--prefix", 500, "--prefix", 400], "Prefixes must rise"),
-        ("maze", ["--max-bytes", 500, "--prefix", 500], "Prefixes must rise"),
     ],
 )
 def test_build_explains_mistakes(map_, options, message, path, maps, monkeypatch):
@@ -181,17 +155,6 @@ def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough(leaf, path):
     assert said("--max-bytes", enough - 1) == enough
     done("build", "maze", "--leaf", leaf, "-o", path, "--max-bytes", enough)
     assert path.stat().st_size <= enough
-    with_mark = said("--prefix", 3)
-    assert said("--prefix", with_mark - 1) == with_mark > enough
-
-
-def test_a_file_that_has_no_room_for_finer_ones_is_told_how_much_is_too_little(path):
-    command = ["build", "maze", "--leaf", "plane", "-o", path, "--prefix", 300, "--max-bytes"]
-    error = mistake(*command, 350)
-    assert "--max-bytes 350 is too small" in error
-    least = int(re.search(r"allow more than ([0-9]+)\.", error).group(1))
-    assert f"allow more than {least}." in mistake(*command, least)
-    done(*command, least + 20)
 
 
 def test_a_goal_of_two_arguments_is_told_how_to_be_one():
@@ -217,28 +180,6 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkey
     assert len(calls) > last_call, "what there is, is proven"
     plr = load(path)
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
-
-
-def test_a_prefix_as_large_as_what_comes_after_it_is_left_out(path):
-    result = run("build", "maze", "-o", path, "--tolerance", 0.2, "--prefix", 300, "--leaf", "plane")
-    assert result.exit_code == 0 and load(path).file_marks == () and load(path).max_error <= 0.2
-    assert "prefixes as large as what comes after them are left out" in result.stderr
-
-
-def test_an_interrupt_keeps_the_prefixes_that_are_done(path, monkeypatch):
-    build, calls = _construct.construct_leaves, []
-
-    def interrupted(*arguments, **limits):
-        calls.append(limits["max_bytes"])
-        if len(calls) == 1:
-            return build(*arguments, **limits)
-        warnings.warn("interrupted", plr_jax.plr.ConstructionInterrupted, stacklevel=1)
-        return build(*arguments, **{**limits, "max_bytes": 100})
-
-    monkeypatch.setattr(_construct, "construct_leaves", interrupted)
-    result = run("build", "maze", "-o", path, "--max-bytes", 900, "--prefix", 300, "--leaf", "plane")
-    assert result.exit_code == 130 and len(calls) == 2
-    assert load(path).max_error > 0 and 200 < load(path).num_bytes <= 300
 
 
 def test_bounds_of_cells_are_narrower_and_need_a_proof(path):
@@ -283,21 +224,18 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize("prefixes", [(), (80,)])  # too few bytes for cones alone
-def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, monkeypatch):
+def test_a_terminal_shows_what_is_being_built_of_how_much(monkeypatch):
     monkeypatch.setattr("sys.stderr", terminal := Terminal())
-    build_file(ORACLE, "", prefixes, "best", False, seed=0, max_bytes=700, max_leaves=50)
+    build_file(ORACLE, "", "best", False, seed=0, max_bytes=700, max_leaves=50)
     said = terminal.getvalue()
-    parts = ["part 1 of 2", "part 2 of 2"] if prefixes else ["file"]
     places = [
-        re.search(rf"{part}: leaves of kind '{name}': .*\b{number}/{len(leaf_names())} ", said).start()
-        for part in parts
+        re.search(rf"file: leaves of kind '{name}': .*\b{number}/{len(leaf_names())} ", said).start()
         for number, name in enumerate(leaf_names())
     ]
     assert places == sorted(places)
     assert said.split("\r")[-1].strip() == "", "nothing of it is left"
     monkeypatch.setattr("sys.stderr", file := io.StringIO())
-    build_file(ORACLE, "", prefixes, "plane", False, seed=0, max_bytes=200)
+    build_file(ORACLE, "", "plane", False, seed=0, max_bytes=200)
     assert file.getvalue() == ""
 
 
@@ -307,7 +245,7 @@ def test_a_terminal_shows_how_many_leaves_are_built(monkeypatch):
     monkeypatch.setattr("tqdm.std.time", lambda: 1000 * now())
     monkeypatch.setattr("sys.stderr", terminal := Terminal())
     for name in leaf_names():
-        build_file(ORACLE, "", (), name, False, seed=0, max_bytes=None, max_leaves=60)
+        build_file(ORACLE, "", name, False, seed=0, max_bytes=None, max_leaves=60)
         assert re.search(r"construct: .*[1-9]\d*/60 ", terminal.getvalue())
         terminal.truncate(0)
 

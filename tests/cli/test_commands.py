@@ -85,9 +85,9 @@ def test_export_writes_a_module(plane, tmp_path):
     assert "bytes of text" in done("export", plane, "--js", "-o", tmp_path / "maze.mjs")
     assert (tmp_path / "maze.mjs").read_text() == load(plane).js_module()
     assert "must end in .mjs" in mistake("export", plane, "--js", "-o", tmp_path / "a.h")
-    for option in ("--name", "--tables"):
-        named = "--js", option, tmp_path / "a.bin" if option == "--tables" else "a"
-        assert "are for headers of C" in mistake("export", plane, *named, "-o", tmp_path / "a.mjs")
+    assert "for headers of C" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
+    tables = "--tables", tmp_path / "a.bin"
+    assert "--tables is for pairs of cells" in mistake("export", plane, *tables, "-o", tmp_path / "a.h")
 
 
 @pytest.fixture(scope="module")

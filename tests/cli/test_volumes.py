@@ -74,7 +74,7 @@ def test_a_volume_is_read_as_the_options_say(volume, shape, lo, hi):
         (["hall.npy"], "hall.npy has no goal of its own: give one with --goal X,Y,Z."),
         (["hall.npy", "--goal", "1,1"], "--goal must be three numbers X,Y,Z in one argument, such as 3,28,5, got"),
         (["hall.npy", "--goal", "1,1,9"], "goal must be a free configuration"),
-        (["hall.npy", "--goal", "1,1,1", "--leaf", "cone", "--prefix", 90], "is built without --prefix, --leaf"),
+        (["hall.npy", "--goal", "1,1,1", "--leaf", "cone", "--max-depth", 9], "is built without --max-depth, --leaf"),
         (["hall.npy", "--goal", "1,1,1", "--enclosed", "free"], "leave out --enclosed"),
         (["hall.npy", "--goal", "1,1,1", "--box", "0,0,1"], "--box must be two corners X,Y,Z,X,Y,Z"),
         (["hall.npy", "--goal", "1,1,1", "--box", "0,0,1,1"], "bounds must have 3 axes, as free has"),

@@ -50,16 +50,16 @@ CASES = {
     "around": lambda: construct(_waves, Box((-0.3, 1), (3, 1.7), periodic=(False, True)), max_leaves=40),
     "smooth around": lambda: _random(2, "smooth", 6, periodic=(False, True)),
     "around twice": lambda: _random(2, "continuous", 5, periodic=(True, True)),
-    "car": lambda: construct(ReedsShepp((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
-    "car of planes": lambda: construct(ReedsShepp((1, 0.5, 0.6), 1), ASIDE, leaf="plane", max_leaves=100),
-    "car that only goes forward": lambda: construct(Dubins((0, 0, 1), 1), TURNS, leaf="continuous", max_leaves=100),
+    "folded car": lambda: construct(ReedsShepp((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
+    "folded car of planes": lambda: construct(ReedsShepp((1, 0.5, 0.6), 1), ASIDE, leaf="plane", max_leaves=100),
+    "car that only goes forward": lambda: construct(Dubins((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
     "straight": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="plane", max_leaves=20),
     "far planes": lambda: construct(Euclidean((5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="plane", max_leaves=50),
     "far cones": lambda: construct(
         VisibilityGraph(Workspace(GRID_ZONE), (5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="cone"
     ),
     "far around": lambda: construct(_waves, Box((1000, 3), (1003, 3.5), periodic=(False, True)), max_leaves=40),
-    "far car": lambda: construct(ReedsShepp((1e3, -1e3, 2), 1), FAR_TURNS, leaf="continuous", max_leaves=100),
+    "far folded car": lambda: construct(ReedsShepp((1e3, -1e3, 2), 1), FAR_TURNS, leaf="continuous", max_leaves=100),
 }
 
 
@@ -169,11 +169,7 @@ class SlowReader:
     def _value(self, x):
         if (z := self._placed(x)) is None:
             return np.nan if np.isnan(x).any() else np.inf
-        value = self._leaf_value(z - self.lo)
-        if self.folding is not None and any(self.folding.radial):
-            along = z[np.array(self.folding.radial)]
-            value = value + np.sqrt(reduce(add, along * along))
-        return value
+        return self._leaf_value(z - self.lo)
 
     def _placed(self, x):
         """None outside the domain."""

@@ -45,7 +45,7 @@ QUERIES = {
     "cone, pages": (lambda pairs: case(CONES), in_square),
     "continuous": (lambda pairs: case("maze of values"), in_square),
     "smooth": (lambda pairs: case("maze of gradients"), in_square),
-    "folded": (lambda pairs: case("car"), lambda n: (9 * points(n, 3) - 4.5,)),
+    "folded": (lambda pairs: case("folded car"), lambda n: (9 * points(n, 3) - 4.5,)),
     "bounds": (lambda pairs: case(CONES).bounds, in_square),
     "lower": (lambda pairs: case("maze of planes").lower, in_square),
     "waypoint": (lambda pairs: case(CONES).waypoint, in_square),

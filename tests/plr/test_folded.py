@@ -1,4 +1,4 @@
-"""PLRs of distance functions that state symmetries, or a radial part."""
+"""PLRs of distance functions that state symmetries."""
 
 from functools import partial
 
@@ -19,7 +19,6 @@ CASES = {
     "turned": (ReedsShepp((1, 0.5, 0.6), 1), ASIDE),
     "far": (ReedsShepp((1e3, -1e3, 2), 1), FAR),
     "forward": (Dubins((0, 0, np.pi / 2), 1), WINDOW),
-    "outside": (ReedsShepp((9, 9, 1), 1), WINDOW),
     "straight": (Euclidean((1, 2)), Box((-3, -1), (2, 4))),
 }
 
@@ -77,11 +76,11 @@ def test_weights_count_where_any_image_has_one():
 def test_nothing_is_folded_of_a_function_that_states_nothing():
     oracle, domain = CASES["straight"]
     plr = construct(partial(Euclidean.__call__, oracle), domain, max_leaves=9)
-    assert plr.tables.folding is None and plr.tables.radial == () and plr.folded_domain == plr.domain
+    assert plr.tables.folding is None and plr.folded_domain == plr.domain
     assert Container.from_bytes(plr.to_bytes()).folding is None
 
 
-def test_folded_planes_are_refined_but_not_what_is_not_known_of_folded_points():
+def test_folded_planes_are_refined_but_not_certified():
     oracle, domain = CASES["straight"]
     plr, x = construct(oracle, domain, max_leaves=8), points(domain, 4000)
     refined, report = refine(plr, x, oracle(x), num_steps=20)
@@ -89,6 +88,3 @@ def test_folded_planes_are_refined_but_not_what_is_not_known_of_folded_points():
     assert refined.folded_domain == plr.folded_domain
     with pytest.raises(ValueError, match="points are folded"):
         certify(plr, oracle)
-    car, window = CASES["about"]
-    with pytest.raises(ValueError, match="cannot be refined"):
-        refine(construct(car, window, max_leaves=4), points(window), car(points(window)))

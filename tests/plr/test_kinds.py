@@ -17,9 +17,9 @@ KINDS = (
     "maze of cones",
     "around",
     "around twice",
-    "car",
+    "folded car",
     "far planes",
-    "far car",
+    "far folded car",
 )
 OUTSIDE = ("inf", "clamp", "nan")
 

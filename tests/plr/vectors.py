@@ -19,13 +19,13 @@ FOLDER = Path(__file__).parent / "vectors"
 _CHOSEN = (
     "maze of planes, maze of values, maze of gradients, maze of cones, cones in space, random planes, deep, around"
 )
-_CHOSEN += ", random values, smooth around, car, car of planes, far cones, far car"
+_CHOSEN += ", random values, smooth around, folded car, folded car of planes, far cones, far folded car"
 _POINTS = 200
 
 
 def vector_names() -> list[str]:
-    """Names of the files."""
-    return sorted(path.stem for path in FOLDER.glob("*.plr"))
+    """Names of the files that are read."""
+    return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
 class Vector(NamedTuple):
@@ -55,7 +55,7 @@ def write() -> None:
     from plr_jax import save
 
     FOLDER.mkdir(exist_ok=True)
-    for path in FOLDER.iterdir():
+    for path in FOLDER.glob("*.json"):  # beside files that are refused
         path.unlink()
     for name in _CHOSEN.split(", "):
         plr, file = case(name), name.replace(" ", "_")

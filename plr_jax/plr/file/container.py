@@ -23,18 +23,16 @@ Layout of version 5, with numbers as in ``domain.py`` (:func:`varint`):
               what it keeps of a proof
       u32     CRC-32 of all bytes before from the start of the file, but for other checksums, little-endian
 
-The last layer is the PLR. Layers before it are coarser PLRs of the same domain, each complete in itself: a file that
-is cut off behind one of them, at a *mark*, is one of that PLR. So whoever fetches a file need not fetch all of it.
-Those of pairs each add to the ones before; cut off at a mark, the file is one of the same pairs, which take longer.
+A PLR has one layer. Files of several, which plr_jax 0.1 wrote, are refused. The layers of pairs each add to the ones
+before: a file that is cut off behind one of them, at a *mark*, is one of the same pairs, which take longer.
 """
 
 import os
 import struct
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
@@ -62,7 +60,7 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Layer:
-    """A PLR of the file's domain, or a part of what is known of pairs; its body is the bit stream."""
+    """A PLR, or a part of what is known of pairs; its body is the bit stream."""
 
     leaf_code: int
     body: bytes
@@ -132,6 +130,8 @@ class Header:
             label = _read_label(reader)
             if (count := reader.varint()) > MOST_LAYERS:
                 raise ValueError(f"it states {count} layers, more than {MOST_LAYERS}")
+            if count and second & 7 != PAIRS_CODE:
+                raise ValueError("it begins with coarser PLRs, as progressive made them; plr_jax 0.1 reads it")
             sizes = tuple(reader.varint() for _ in range(count))
         header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes)
         if header.data != data[: reader.at]:
@@ -152,8 +152,7 @@ def _read_label(reader: ByteReader) -> str:
 class Container:
     """What every PLR file has. With a ``folding``, points are folded.
 
-    Its layers are the coarser PLRs, and last the one that the file is of. Where it was cut off at a mark, that is the
-    finest one there still is.
+    Of pairs that were cut off at a mark, ``layers`` are those that there still are.
     """
 
     domain: Box
@@ -203,27 +202,6 @@ class Container:
             layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
             start = end
         return Container(header.domain, tuple(layers), header.folding, header.label)
-
-
-def layered(containers: Sequence[Container]) -> Container:
-    """The last of some containers, behind the last layers of the others; raises ``ValueError`` if that is no file."""
-    if not 0 < len(containers) <= MOST_LAYERS + 1:
-        raise ValueError(f"A file holds 1 to {MOST_LAYERS + 1} PLRs, got {len(containers)}.")
-    *coarser, last = containers
-    for each in coarser:
-        if each.domain != last.domain or _folding_bytes(each) != _folding_bytes(last):
-            raise ValueError(
-                f"The PLRs of a file have one domain, and fold points alike, got {each.domain} and {last.domain}."
-            )
-    layers = tuple(each.last for each in containers)
-    sizes = [len(layer.body) for layer in layers]
-    if any(larger <= size for size, larger in pairwise(sizes)):
-        raise ValueError(f"Each PLR of a file must have more bytes than the one before, got {sizes} without headers.")
-    return replace(last, layers=layers)
-
-
-def _folding_bytes(container: Container) -> bytes:
-    return b"" if container.folding is None else folding_to_bytes(container.folding)
 
 
 def require_label(label: str) -> None:

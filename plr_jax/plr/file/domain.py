@@ -80,7 +80,7 @@ class ByteReader:
 # u8      1 if folded coordinates run along axes of their own, else 0
 # f64     of such the axes, row by row
 # u8      number of mirrors
-# u8      for each mirror, then for the radial part, one number an axis: 1 if it is reversed, or is radial, else 0
+# u8      for each mirror one number an axis, 1 if it is reversed, else 0; then zeros, one an axis
 
 
 _ORTHOGONAL = 1e-9
@@ -88,7 +88,7 @@ _ORTHOGONAL = 1e-9
 
 def folding_to_bytes(folding: Folding) -> bytes:
     """What the file keeps."""
-    marks = np.array([*folding.mirrors, folding.radial], np.uint8)
+    marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
     return b"".join(
         [
@@ -110,7 +110,11 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
         axes = np.frombuffer(reader.take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim)
     marks = _flags(reader.take(dim * (reader.byte() + 1))).reshape(-1, dim)
     mirrors = tuple(tuple(map(bool, row)) for row in marks[:-1])
-    folding = Folding(domain, center, axes, mirrors, tuple(map(bool, marks[-1])))
+    if marks[-1].any():
+        raise ValueError(
+            "it stores what a distance is more than a straight line, which plr_jax 0.1 reads; build it again"
+        )
+    folding = Folding(domain, center, axes, mirrors)
     _check(folding)
     return folding
 
@@ -129,9 +133,7 @@ def _check(folding: Folding) -> None:
     unit = np.eye(len(axes))
     if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
         raise ValueError("the axes of its folding are not orthogonal, or turn a periodic one")
-    if (np.array(folding.radial) & periodic).any():
-        raise ValueError("its folding measures a length along a periodic axis")
-    if not folding.mirrors and not any(folding.radial):
+    if not folding.mirrors:
         raise ValueError("its folding folds nothing")
     if folding.cutting != folding.mirrors:
         raise ValueError("its folding has a mirror that does not cut the domain")

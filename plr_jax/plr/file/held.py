@@ -36,7 +36,7 @@ class HeldFile:
 
     @property
     def file_marks(self) -> tuple[int, ...]:
-        """Where the file may be cut off, in bytes from its start, to be one of less: see :func:`progressive`.
+        """Where a file of pairs may be cut off, in bytes from its start, to be one of the same pairs; none of a PLR.
 
         Of a file that was cut off at a mark, those before it.
         """

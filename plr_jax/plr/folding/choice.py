@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._types import DistanceFn, RadialFn, RadialPart, SymmetricFn, Symmetry
+from plr_jax._types import DistanceFn, SymmetricFn, Symmetry
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
 
@@ -15,16 +15,12 @@ _SAME_PLACE = 1e-9  # of a coordinate, or of the domain's width
 
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
-    """The folding that halves a domain most often, and leaves the rest to a closed form; None if nothing does."""
+    """The folding that halves a domain most often; None if no symmetry makes it smaller."""
     symmetries = _commuting(distance_fn.symmetries, domain) if isinstance(distance_fn, SymmetricFn) else []
-    radial = distance_fn.radial_part if isinstance(distance_fn, RadialFn) else None
-    start = (domain.lo + domain.hi) / 2 if radial is None else np.asarray(radial.center, np.float64)
-    folding = _mirrored(symmetries, domain, start)
+    folding = _mirrored(symmetries, domain, (domain.lo + domain.hi) / 2)
     if folding is None or np.prod(folding.box.width) >= np.prod(domain.width) * (1 - _SAME_PLACE):
-        folding = Folding(domain, start, np.eye(domain.dim), (), (False,) * domain.dim)
-    if radial is not None:
-        folding = _with_radial(folding, radial)
-    return folding if folding.mirrors or any(folding.radial) else None
+        return None
+    return folding
 
 
 def _commuting(symmetries: Sequence[Symmetry], domain: Box) -> list[Symmetry]:
@@ -65,7 +61,7 @@ def _mirrored(symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, 
     mirrors = _with_pivots(signs < 0, ~np.array(domain.periodic))
     if center is None or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
         return None
-    folding = Folding(domain, center, axes, mirrors, (False,) * domain.dim)
+    folding = Folding(domain, center, axes, mirrors)
     return replace(folding, mirrors=folding.cutting) if folding.cutting else None
 
 
@@ -100,13 +96,3 @@ def _with_pivots(
         rows[others] ^= rows[done]
         done += 1
     return tuple(tuple(map(bool, row)) for row in rows[:done])
-
-
-def _with_radial(folding: Folding, radial: RadialPart) -> Folding:
-    """The same, with a closed form about its center; without one if that is about another point or across axes."""
-    of_axes = np.linalg.norm(folding.axes[:, np.asarray(radial.axes, bool)], axis=1)
-    is_radial = of_axes > 1 - _SAME_PLACE
-    same_axes = (is_radial | (of_axes < _SAME_PLACE)).all() and not (is_radial & folding.domain.periodic).any()
-    if not same_axes or not np.array_equal(folding.center, radial.center):
-        return folding
-    return replace(folding, radial=tuple(map(bool, is_radial)))

@@ -26,14 +26,12 @@ class Folding:
         center: From where points are seen. All mirrors pass through it.
         axes: One of the folded coordinates a row, an orthogonal matrix. Those along periodic axes stay what they are.
         mirrors: Which coordinates each mirror reverses.
-        radial: The folded coordinates whose length is taken off the distance before that is stored.
     """
 
     domain: Box
     center: Float[np.ndarray, "dim"]
     axes: Float[np.ndarray, "dim dim"]
     mirrors: tuple[tuple[bool, ...], ...]
-    radial: tuple[bool, ...]
 
     @property
     def is_turned(self) -> bool:
@@ -108,10 +106,6 @@ class Folding:
                 break
         assert found is not None, "there is a way to mirror at no mirror"
         return found
-
-    def radius(self, z: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch"]:
-        """The length of the radial coordinates."""
-        return np.sqrt(np.sum(np.square(z), axis=-1, where=np.array(self.radial)))
 
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]

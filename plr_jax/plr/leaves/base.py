@@ -14,7 +14,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.range_coder import Coder
 from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.partition.cells import Cells, Level, Tree
@@ -285,21 +284,6 @@ class SourcedLeafModel(LeafModel):
         self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
     ) -> tuple[Cells, Any]:
         """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
-        ...
-
-    @abstractmethod
-    def coded_sources(
-        self, coder: Coder, domain: Box, before: Any, after: Any | None
-    ) -> tuple[Any, Int[np.ndarray, "sources"]]:
-        """What is stored after a change, but for leaves; and the index there of each source before, -1 if it is gone.
-
-        It is encoded if it is given, else decoded; raises ``ValueError`` saying what is wrong with it.
-        """
-        ...
-
-    @abstractmethod
-    def with_sources(self, stored: Any, source: Int[np.ndarray, "leaves"]) -> Any:
-        """What is stored of leaves of these sources, where all else is stored already."""
         ...
 
     @abstractmethod

@@ -39,7 +39,6 @@ numbers above. Elsewhere the ``ORIGIN`` is 0, and nothing changes.
     (continuous and smooth leaves): ``t = ((x - LO) SCALE + (START - 1)) 2**k - p`` along each axis, where the leaf
     is cell ``p`` of ``2**k``, and Horner's rule along the first axis, the highest power first, whose coefficients
     are polynomials of the others, by the same rule.
-7.  If the folding is radial, ``+ sqrt(z[i] z[i] + z[j] z[j] + ...)`` of its radial axes is added.
 
 The answer is NaN if a coordinate is NaN; else ``inf`` unless, after step 1, ``LO <= x <= HI`` along each axis that is
 not periodic, and ``x`` is finite along the others. A waypoint is ``LO + n[1:]``, in a far domain ``ORIGIN + n[1:]``

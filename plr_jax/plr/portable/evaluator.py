@@ -12,13 +12,11 @@ from jaxtyping import Float
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.delta.file_delta import patched_file
 from plr_jax.plr.file.container import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.arithmetic import total
 from plr_jax.plr.portable.header import CHeader
 from plr_jax.plr.portable.leaf_table import LeafTable
-from plr_jax.plr.portable.loaded_header import LoadedHeader, c_tables
 from plr_jax.plr.portable.module import js_module
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import PythonWriter
@@ -206,17 +204,9 @@ class NumpyPLR:
         """The bytes of the file."""
         return self._data
 
-    def patched(self, delta: bytes) -> "NumpyPLR":
-        """The same as :meth:`PLR.patched`: without JAX."""
-        return NumpyPLR(patched_file(self._data, delta))
-
-    def c_header(self, name: str, *, loads_tables: bool = False) -> str:
+    def c_header(self, name: str) -> str:
         """The same as one header of C99: see :meth:`PLR.c_header`."""
-        return (LoadedHeader if loads_tables else CHeader)(self._program, name).text()
-
-    def c_tables(self) -> bytes:
-        """What such a header loads: see :meth:`PLR.c_tables`."""
-        return c_tables(self._program)
+        return CHeader(self._program, name).text()
 
     def js_module(self) -> str:
         """The same as one module of JavaScript: see :meth:`PLR.js_module`."""

@@ -20,7 +20,6 @@ from plr_jax.plr.portable.arithmetic import (
     Value,
     Window,
     all_of,
-    length,
 )
 from plr_jax.plr.query.frame import (
     Corner,
@@ -136,12 +135,6 @@ class Program:
         axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
         return Fold(list(center), list(rest), axes, mirrored_axes(folding), list(lo), list(hi))
 
-    @cached_property
-    def radial(self) -> list[int]:
-        """Axes of which the length of folded coordinates is added."""
-        folding = self.contents.folding
-        return [] if folding is None else np.flatnonzero(folding.radial).tolist()
-
     def contains(self, do: Operations, x: Point) -> Value:
         """Whether a point has an answer; its precision is :attr:`precision`."""
         tests = []
@@ -192,8 +185,7 @@ class Program:
         if self.leaf.is_of_cells:
             along = zip(self.axes, above, cell, strict=True)
             place = [grid.in_cell(do, a, count, position) for grid, a, (count, position) in along]
-        value = self.leaf.value(numbers, place, do.root)
-        return value + length(do, x, self.radial) if self.radial else value
+        return self.leaf.value(numbers, place, do.root)
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
         """The source of a leaf of given numbers."""

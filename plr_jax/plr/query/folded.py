@@ -83,11 +83,3 @@ def _clipped(
 @_clipped.defjvp
 def _clipped_with_tangent(primals, tangents):
     return _clipped(*primals), tangents[0]
-
-
-def radius(
-    z: Float[Array, "*batch dim"], axes: tuple[int, ...], outside: Bool[Array, "*batch"]
-) -> Float[Array, "*batch"]:
-    """Length of some coordinates, of which the gradient at 0 is 0; 0 where points are ``outside``."""
-    square = reduce(jnp.add, (rounded(jnp.square(jnp.where(outside, 0, z[..., axis]))) for axis in axes))
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.query.folded import FoldedWindow, radius
+from plr_jax.plr.query.folded import FoldedWindow
 from plr_jax.plr.query.frame import Frame, Outside, require_resolved
 from plr_jax.plr.query.pages import index_in_block
 from plr_jax.plr.query.reads import Picked, gather, rounded, shift_right
@@ -35,8 +35,6 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outsid
         row = find_row(tables, jax.lax.stop_gradient(x))
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
-        if tables.radial:
-            value += radius(x, tables.radial, is_outside)
     return jnp.where(is_outside, jnp.full_like(answer, jnp.nan) if outside == "nan" else answer, value)
 
 

@@ -80,7 +80,6 @@ class Tables:
             cache line or two and not for one a number.
         leaf: The leaf model, whose ``value`` makes a value of them.
         periodic: The periodic axes, around which points are wrapped.
-        radial: Axes of which the length of a point's coordinates is added to the leaf's value.
         folding: How points are folded before all this; None if they are not.
         trie: What leads from a point's place to a row of the numbers, in stacks of many PLRs; then none of the others
             is read.
@@ -95,7 +94,6 @@ class Tables:
     numbers: Float[Array, "count padded"] | Float[Array, "numbers"] | Picked
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
-    radial: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedWindow | None = None
     trie: Trie | None = None
     unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())
@@ -109,9 +107,8 @@ class Tables:
         """The same, of points that are folded, and counted from an origin."""
         if folding is None:
             return self
-        radial = tuple(map(int, np.flatnonzero(folding.radial)))
         unresolved = unresolved_types(folding.domain.moved(-origin))
-        return replace(self, radial=radial, folding=FoldedWindow.of(folding, origin), unresolved=unresolved)
+        return replace(self, folding=FoldedWindow.of(folding, origin), unresolved=unresolved)
 
     def of_folded_points(self) -> "Tables":
         """The same for points that are folded already."""

@@ -251,11 +251,6 @@ def refine(
 def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR, as construct builds, can be refined, got {shortened(plr)}.")
-    if plr.tables.radial:
-        raise ValueError(
-            "A PLR that stores what a distance is more than a straight line cannot be refined. Build it of "
-            "lambda x: distance_fn(x), of which construct knows neither symmetries nor a radial part."
-        )
     if not callable(loss):
         raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {shortened(loss)}.")
     if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):

@@ -12,18 +12,14 @@ from plr_jax.plr.sampling.cell_fit import WeightFn, call_oracle, call_weights
 
 @dataclass(frozen=True, eq=False)
 class FoldedFn:
-    """What a PLR stores of a distance function at folded points.
-
-    That is the distance of a point that folds there, less its radius, where the folding has one.
-    """
+    """A distance function of folded points: the distance of a point that folds there."""
 
     distance_fn: DistanceFn
     folding: Folding
 
     def __call__(self, z: Points) -> Distances:
-        """What is stored at folded points."""
-        distance = call_oracle(self.distance_fn, self.folding.unfolded(z))
-        return np.maximum(distance - self.folding.radius(z), 0.0)
+        """Distances at folded points."""
+        return call_oracle(self.distance_fn, self.folding.unfolded(z))
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,7 +169,7 @@ def test_a_point_that_rounding_puts_below_the_domain_has_the_leaf_beside_it():
     assert plr(lowest)[0] == pytest.approx(1) and plr.numpy()(lowest)[0] == pytest.approx(1)
 
 
-@pytest.mark.parametrize("name", ["far planes", "far cones", "far car"])
+@pytest.mark.parametrize("name", ["far planes", "far cones", "far folded car"])
 def test_far_from_the_origin_the_domain_begins_at_its_corner_itself(name):
     plr = case(name)
     f, middle = plr.numpy(), (plr.domain.lo + plr.domain.hi) / 2
@@ -181,6 +181,14 @@ def test_far_from_the_origin_the_domain_begins_at_its_corner_itself(name):
             assert np.isfinite(answers).tolist() == [True, True, False]
 
 
+def test_files_of_an_earlier_release_that_store_a_straight_line_apart_are_refused():
+    refused = {path.stem for path in FOLDER.glob("*.plr")} - set(vector_names())
+    assert len(refused) == 3
+    for name in refused:
+        with pytest.raises(ValueError, match=r"cannot be read as a PLR.*a straight line.* plr_jax 0.1 reads"):
+            load_numpy(FOLDER / f"{name}.plr")
+
+
 def test_a_file_is_read_without_jax():
     code = f"""
 import pathlib, sys
@@ -189,8 +197,8 @@ folder = pathlib.Path({str(FOLDER)!r})
 f = plr_jax.load_numpy(folder / "maze_of_cones.plr")
 print(f((0.93, 0.95)), f.waypoint([0.93, 0.95]), f.bounds([[0.93, 0.95]]))
 heavy = {{"jax", "scipy", "shapely", "networkx", "matplotlib", "typer"}} & set(sys.modules)
-for path in folder.glob("*.plr"):
-    plr_jax.load_numpy(path)
+for path in folder.glob("*.json"):
+    plr_jax.load_numpy(path.with_suffix(".plr"))
 heavy |= {{"jax"}} & set(sys.modules)
 sys.exit(str(heavy) if heavy else 0)
 """

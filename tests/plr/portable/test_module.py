@@ -9,7 +9,7 @@ from portable_helpers import CASES, case, hard_points, same_bits
 from vectors import read_vector, vector_names
 
 from experiments._js_modules import NodeModule
-from plr_jax import VisibilityGraph, construct, from_bytes, load, progressive, scenes
+from plr_jax import load
 from plr_jax.plr.portable.module import JavaScriptWriter, js_cone_reader, js_file_reader, single
 
 
@@ -45,33 +45,23 @@ def test_vectors_are_answered_bit_for_bit(name, tmp_path):
     assert same_bits(found, load(path).numpy()(x.astype(np.float64)))
 
 
-@pytest.mark.parametrize("name", ["maze of cones", "far cones", "file of prefixes"])
+@pytest.mark.parametrize("name", ["maze of cones", "far cones"])
 def test_files_of_cones_are_read_and_answered(name, tmp_path):
     """By a program that is of no file, from the bytes of one."""
-    plr = _of_prefixes() if name == "file of prefixes" else case(name)
+    plr = case(name)
     text = "\n".join([js_file_reader(), js_cone_reader()])
-    for layer, held in enumerate([*(from_bytes(plr.to_bytes()[:mark]) for mark in plr.file_marks), plr]):
-        file = f"Uint8Array.from({list(plr.to_bytes())})"
-        opened = f"(file => coneReader(readCones(file, file.layers[{layer}])))(readContainer({file}))"
-        in_node = NodeModule(f"{text}\nexport const {{ distance, waypoint, bounds }} = {opened};", tmp_path)
-        x, f = hard_points(plr, 2_000).astype(np.float64), held.numpy()
-        assert same_bits(in_node(x)[:, 0], f(x).astype(np.float64))
-        assert same_bits(in_node(x, "waypoint", 2), f.waypoint(x).astype(np.float64))
-        if f.max_error is not None:
-            bounds = np.stack(f.bounds(x), axis=1).astype(np.float64)
-            assert same_bits(in_node(x, "bounds", 2), bounds)
-
-
-def _of_prefixes():
-    problem = scenes.maze()
-    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
-    certified = {"leaf": "cone", "certified": True}
-    parts = [construct(oracle, problem.workspace.bounds, max_bytes=m, **certified) for m in (200, 400)]
-    return progressive(parts)
+    file = f"Uint8Array.from({list(plr.to_bytes())})"
+    opened = f"(file => coneReader(readCones(file, file.layers[0])))(readContainer({file}))"
+    in_node = NodeModule(f"{text}\nexport const {{ distance, waypoint, bounds }} = {opened};", tmp_path)
+    x, f = hard_points(plr, 2_000).astype(np.float64), plr.numpy()
+    assert same_bits(in_node(x)[:, 0], f(x).astype(np.float64))
+    assert same_bits(in_node(x, "waypoint", 2), f.waypoint(x).astype(np.float64))
+    if f.max_error is not None:
+        assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
 
 
 def test_it_imports_and_exports_what_it_says():
-    for name, exported in (("maze of cones", {"distance", "waypoint", "bounds"}), ("car", {"distance"})):
+    for name, exported in (("maze of cones", {"distance", "waypoint", "bounds"}), ("folded car", {"distance"})):
         text = case(name).js_module()
         assert set(re.findall(r"^export function (\w+)", text, re.MULTILINE)) == exported
         assert not re.search(r"\bimport\b|\brequire\b|https?:", text)

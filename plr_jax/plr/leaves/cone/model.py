@@ -1,7 +1,7 @@
 """A cone in every leaf: an offset and the distance to a source, which many leaves share."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,6 @@ from plr_jax._types import ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.range_coder import Coder
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.limits import Limits, grow
 from plr_jax.plr.leaves.base import (
@@ -26,7 +25,6 @@ from plr_jax.plr.leaves.base import (
     largest_coordinates,
 )
 from plr_jax.plr.leaves.cone.best import best_cones_of_goal
-from plr_jax.plr.leaves.cone.changed_sources import coded_sources
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.updated import updated_cones
@@ -169,17 +167,6 @@ class Cone(FamilyLeafModel):
         """All sources, with their parents, and the index of every leaf's own."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
-
-    def coded_sources(
-        self, coder: Coder, domain: Box, before: StoredCones, after: StoredCones | None
-    ) -> tuple[StoredCones, Int[np.ndarray, "sources"]]:
-        """By what has changed of them."""
-        sources, place = coded_sources(coder, domain, before.sources, None if after is None else after.sources)
-        return StoredCones(sources, np.zeros(0, np.int64)), place
-
-    def with_sources(self, stored: StoredCones, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """The same table of sources."""
-        return replace(stored, source=source)
 
     def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
         """All but the offset."""

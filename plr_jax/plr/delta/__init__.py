@@ -1,1 +1,0 @@
-"""What has changed from one PLR to another, in few bytes."""
