@@ -1,4 +1,9 @@
-"""The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them."""
+"""The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them.
+
+``app`` has what all commands share, ``inputs`` reads maps, ``rows`` reads tables of points; ``build``, ``files`` and
+``plan`` hold the commands. Heavy libraries are imported inside the commands, so that ``--help`` answers at once, and
+``query`` answers without JAX.
+"""
 
 import os
 import signal
@@ -11,16 +16,16 @@ if TYPE_CHECKING:
     import typer
 
 INTERRUPTED_EXIT, BROKEN_PIPE_EXIT, TERMINATED_EXIT = 130, 141, 143
-_SOON = 0.01  # seconds, in which a callback ends
+_SOON = 0.01  # seconds: a callback of the garbage collector ends within this time
 
 
 def main() -> None:
     """Run the command line; the entry point of ``plr-jax``.
 
-    Interrupted, while it loads as well, it ends with exit code 130; terminated, with 143, and leaves no half-written
-    file.
+    Ctrl-C ends the command with exit code 130, also while it loads. SIGTERM ends it with 143. No file is left
+    half-written.
     """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # Ctrl-C means no job in the background
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not a job in the background
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
     sys.unraisablehook = _send_again
@@ -31,10 +36,10 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End the command by an exception, which cleans up; within an import, at once.
+    """End the command by an exception, which cleans up. During an import, end the process at once.
 
-    An exception does not always come through a half-done import: libraries swallow it, or abort the process. No file
-    is open for writing then, and nothing else is to be cleaned up.
+    Libraries swallow an exception in a half-done import, or abort the process. During imports no file is open for
+    writing, so there is nothing to clean up.
     """
     interrupted = number == signal.SIGINT
     while frame is not None:
@@ -46,7 +51,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _send_again(lost: "sys.UnraisableHookArgs") -> None:
-    """Send a signal again whose exception went nowhere, as from a callback of the garbage collector; JAX has one."""
+    """Send a signal again if its exception was lost in a callback of the garbage collector, as JAX has."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:
         sys.__unraisablehook__(lost)
@@ -55,9 +60,8 @@ def _send_again(lost: "sys.UnraisableHookArgs") -> None:
 
 
 def load_app() -> "typer.Typer":
-    """The application with all its commands, imported only here."""
-    # Importing the commands registers them; the help lists them in this order.
-    from plr_jax.cli import _commands, _export, _plan  # noqa: F401
-    from plr_jax.cli._app import app
+    """Import the commands, which registers them in the order of the help, and return the application."""
+    from plr_jax.cli import build, files, plan  # noqa: F401
+    from plr_jax.cli.app import app
 
     return app

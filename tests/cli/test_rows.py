@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plr_jax.cli import _rows
-from plr_jax.cli._rows import PointTable, open_table
+from plr_jax.cli import rows as table_rows
+from plr_jax.cli.rows import PointTable, open_table
 
 
 def read(data, dim=2, strict=False):
@@ -78,7 +78,7 @@ def test_numbers_that_are_not_finite_are_numbers(text, capsys):
     ("data", "message"),
     [
         *(
-            (text, "p has no points: expected 2 comma-separated numbers a line")
+            (text, "p has no points: expected 2 comma-separated numbers in each line")
             for text in ("", "\n\n", "x,y", " \r\n")
         ),
         ("x,y\n", "p has no points"),
@@ -88,7 +88,7 @@ def test_numbers_that_are_not_finite_are_numbers(text, capsys):
     ],
 )
 def test_what_is_no_table_is_refused(data, message, monkeypatch):
-    monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 100)
+    monkeypatch.setattr(table_rows, "_MOST_LINE_BYTES", 100)
     with pytest.raises(ValueError, match=message):
         read(data)
 
@@ -112,7 +112,7 @@ class Repeated(io.RawIOBase):
 @pytest.mark.parametrize("blank", [b"\n", b" \r\n", b"\n \t"])
 @pytest.mark.parametrize("last", [b"3,4", b"3,4\n", b"\n \n", b""])
 def test_blank_lines_are_rows_but_at_the_end_and_as_many_as_there_are(blank, last, monkeypatch):
-    monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 1000)
+    monkeypatch.setattr(table_rows, "_MOST_LINE_BYTES", 1000)
     times = 50
     file, table = Repeated(100 * blank, times, last), PointTable("p", 2)
     file.left.append(b"1,2\n")  # which is read first
@@ -155,7 +155,7 @@ def test_chunks_do_not_show(rows, chunk, newline, ends):
             numbers = []
         expected.append(numbers if len(numbers) == 2 else [np.nan, np.nan])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_rows, "_CHUNK_BYTES", chunk)
+        patch.setattr(table_rows, "_BLOCK_BYTES", chunk)
         np.testing.assert_array_equal(read(newline.join(rows) + newline * ends), expected)
 
 

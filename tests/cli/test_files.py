@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from cli_helpers import done, mistake, run
+from PIL import Image
 
 import plr_jax
 from plr_jax import (
@@ -19,7 +20,7 @@ from plr_jax import (
     save,
     scenes,
 )
-from plr_jax.cli._inputs import LEAVES
+from plr_jax.cli.build import _LEAVES
 from plr_jax.plr.leaves import leaf_names
 
 
@@ -85,9 +86,7 @@ def test_export_writes_a_module(plane, tmp_path):
     assert "bytes of text" in done("export", plane, "--js", "-o", tmp_path / "maze.mjs")
     assert (tmp_path / "maze.mjs").read_text() == load(plane).js_module()
     assert "must end in .mjs" in mistake("export", plane, "--js", "-o", tmp_path / "a.h")
-    assert "for headers of C" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
-    tables = "--tables", tmp_path / "a.bin"
-    assert "--tables is for pairs of cells" in mistake("export", plane, *tables, "-o", tmp_path / "a.h")
+    assert "--name is for headers of C" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +117,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     assert (tmp_path / "grid.h").read_text() == header.text
     assert (tmp_path / "grid.tables").read_bytes() == header.table
     for arguments, message in (
-        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, of which no module"),
+        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, which JavaScript does not answer"),
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
         (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),
@@ -131,7 +130,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
 
 def test_pairs_that_are_bounds_are_told_to_be(tmp_path):
     save(construct_grid_pairs(np.random.default_rng(0).random((9, 9)) > 0.3, max_bytes=400), tmp_path / "grid.pairs")
-    assert "by which distances are bounds" in done("info", tmp_path / "grid.pairs")
+    assert "distances are bounds" in done("info", tmp_path / "grid.pairs")
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -165,7 +164,7 @@ def test_a_shell_completes_maps_and_choices():
 
 
 def test_choices_in_the_help_are_those_there_are():
-    assert set(LEAVES) == {"best", *leaf_names()}
+    assert set(_LEAVES) == {"best", *leaf_names()}
     assert "[best|plane|continuous|" in done("build", "--help")
 
 
@@ -227,11 +226,9 @@ def test_what_is_read_is_not_written_over(plane, maps, tmp_path):
     for name in ("grid.map", "team.json"):
         (tmp_path / name).write_bytes((maps / name).read_bytes())
     (tmp_path / "header.h").symlink_to(plane)
-    (tmp_path / "oracle.npz").write_bytes(b"oracle")
     files = {path: path.read_bytes() for path in tmp_path.iterdir()}
     for command, name in (
         (["build", tmp_path / "grid.map", "--goal", "1,0.5"], "grid.map"),
-        (["build", "maze", "--oracle", tmp_path / "oracle.npz"], "oracle.npz"),
         (["export", plane, "--c"], "header.h"),
         (["plan", tmp_path / "team.json"], "team.json"),
     ):
@@ -244,7 +241,7 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
     monkeypatch.setattr("plr_jax.scenes.four_rooms", lambda num_robots: pair)
     small = {"_PLR_POINTS": 1000, "_ORACLE_POINTS": 100, "DEFAULT_BYTES": 500, "_GIF_SECONDS": 0.2}
     for name, value in small.items():
-        monkeypatch.setattr(f"plr_jax.cli._demo.{name}", value)
+        monkeypatch.setattr(f"plr_jax.cli.demo.{name}", value)
     said = done("demo", "--output", tmp_path / "new" / "folder")
     pictures = ("maze_distance.png", "maze_error.png", "maze_surface.png", "four_rooms.html", "four_rooms.gif")
     pages = ("maze.html", "four_rooms_distances.html")
@@ -272,3 +269,104 @@ def test_help_has_an_example_and_the_version_is_that_of_the_package():
     for command in ([], ["build"], ["query"], ["export"], ["view"], ["info"], ["plot"], ["plan"], ["demo"]):
         assert f"plr-jax {command[0] if command else 'demo'}" in done(*command, "--help")
     assert done("--version") == f"plr-jax {plr_jax.__version__}\n"
+
+
+@pytest.fixture
+def unlabeled(plane, tmp_path):
+    save(load(plane).with_label(""), tmp_path / "unlabeled.plr")
+    return tmp_path / "unlabeled.plr"
+
+
+@pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])
+def test_plot_knows_map_and_goal_from_the_file(kind, plane, tmp_path):
+    for name, options in (("own", []), ("given", ["--map", "maze"])):
+        path = tmp_path / f"{name}.png"
+        assert f"wrote {path}" in done("plot", plane, *options, "--kind", kind, "-o", path)
+    own = (tmp_path / "own.png").read_bytes()
+    assert own.startswith(b"\x89PNG") and own == (tmp_path / "given.png").read_bytes()
+
+
+def test_plot_finds_a_map_beside_the_file(maps, tmp_path, monkeypatch):
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "a.map").write_bytes((maps / "grid.map").read_bytes())
+    monkeypatch.chdir(tmp_path / "maps")
+    done("build", "a.map", "--goal", "0.5,0.5", "--leaf", "plane", "--max-leaves", 4)
+    monkeypatch.chdir(tmp_path)
+    done("plot", tmp_path / "maps" / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
+
+
+def test_plot_takes_goal_and_options_of_a_map_from_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    gray = np.full((40, 60), 255, np.uint8)
+    gray[10:30, 30:33] = 0
+    for name in ("scan.png", "copy.png"):
+        Image.fromarray(gray).save(name)
+    options = ["--resolution", 0.05]
+    done("build", "scan.png", "--goal", "0.3,0.3", *options, "-o", "scan.plr", "--max-leaves", 9, "--leaf", "plane")
+    pictures = set()
+    for given in ([], ["--map", "scan.png"], ["--map", "copy.png --resolution=0.05"]):
+        done("plot", "scan.plr", *given, "--kind", "error", "-o", "a.png")
+        pictures.add((tmp_path / "a.png").read_bytes())
+    assert len(pictures) == 1
+    for given in (["--map", "scan.png --resolution=1"], ["--map", "copy.png"]):
+        result = run("plot", "scan.plr", *given, "-o", "other.png")
+        assert result.exit_code == 0 and result.stderr.count("\n") == 1
+        assert "Warning: the map is Box([0.0, 0.0], [60.0, 40.0])" in result.stderr
+        assert "covers Box([0.0, 0.0], [3.0, 2.0])" in result.stderr
+
+
+def test_the_error_is_drawn_for_the_goal_that_is_given_else_that_of_the_file(plane, tmp_path):
+    pictures = []
+    for given in ([], ["--map", "maze"], ["--goal", "0.9,0.1"]):
+        done("plot", plane, *given, "--kind", "error", "-o", tmp_path / "a.png")
+        pictures.append((tmp_path / "a.png").read_bytes())
+    assert pictures[0] == pictures[1] != pictures[2]
+
+
+def test_plot_needs_no_map_and_says_which_file_it_wrote(unlabeled, tmp_path):
+    done("plot", unlabeled, "-o", tmp_path / "picture.svg")
+    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
+    assert done("plot", unlabeled, "-o", tmp_path / "pic") == f"wrote {tmp_path / 'pic.png'}\n"
+    assert (tmp_path / "pic.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--kind", "error", "-o", "a.png"], "give --map"),
+        (["-o", "a.docx"], "a.docx must end in .png or .pdf or .svg"),
+        (["-o", "none/a.png"], "none: No such folder"),
+        (["--goal", "0,0", "-o", "a.png"], "--goal needs --map"),
+        (["--map", "none.png", "-o", "a.png"], "Error: none.png: No such file or directory\n"),
+    ],
+)
+def test_plot_explains_mistakes(options, message, unlabeled, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert message in mistake("plot", unlabeled, *options)
+
+
+@pytest.mark.parametrize("kind", ["distance", "cells"])
+def test_a_file_is_drawn_where_its_map_is_not(kind, plane, unlabeled, tmp_path):
+    path, picture = tmp_path / "far.plr", tmp_path / "a.png"
+    save(load(plane).with_label("elsewhere/scan.png --goal=0.06,0.07"), path)
+    result = run("plot", path, "--kind", kind, "-o", picture)
+    reason = "elsewhere/scan.png: No such file or directory"
+    said = f"the map that {path} was built of cannot be read ({reason}): name it with --map"
+    assert result.exit_code == 0, result.output
+    assert result.stderr == f"Warning: {said}; drawn without its obstacles.\n"
+    drawn, pictures = picture.read_bytes(), []
+    for file, given in ((unlabeled, []), (path, ["--map", "maze", "--goal", "0.06,0.07"])):
+        done("plot", file, "--kind", kind, *given, "-o", picture)
+        pictures.append(picture.read_bytes())
+    without_goal, with_walls = pictures
+    assert drawn != with_walls
+    assert (drawn == without_goal) == (kind != "distance")  # of which the goal is drawn
+    assert said in mistake("plot", path, "--kind", "error", "-o", picture)
+
+
+@pytest.mark.parametrize("label", ["the kitchen", "kitchen", "scan.png --goal=here"])
+def test_a_label_that_names_no_map_is_any_text(label, plane, tmp_path):
+    save(load(plane).with_label(label), tmp_path / "a.plr")
+    done("plot", tmp_path / "a.plr", "-o", tmp_path / "a.png")
+    error = mistake("plot", tmp_path / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
+    assert "does not say of which map" in error

@@ -9,17 +9,12 @@ import jax
 import jax.numpy as jnp
 import typer
 
-from plr_jax import metrics, plot, scenes
-from plr_jax._io import save
+from plr_jax import BLOptions, VisibilityGraph, Workspace, construct, construct_pairs, metrics, plot, save, scenes
 from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax.cli import _planning
-from plr_jax.cli._app import fail
-from plr_jax.cli._inputs import DEFAULT_BYTES, Heuristic
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
-from plr_jax.pairs import construct_pairs
-from plr_jax.planners import BLOptions
-from plr_jax.plr import PLR, construct
+from plr_jax.cli.app import fail
+from plr_jax.cli.inputs import DEFAULT_BYTES
+from plr_jax.cli.plan import Heuristic, solve
+from plr_jax.plr import PLR
 
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
@@ -31,11 +26,9 @@ def run(output: Path) -> None:
     """Build the maze's PLR, measure it beside its oracle, draw it; plan for four robots, animate the path; pages."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
-    began = time.perf_counter()
     problem = scenes.four_rooms(4)
     typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
-    phases = _planning.Phases(began)
-    solution, report = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
+    solution, report = solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES)
     if report is None or not report.valid:
         fail("There is no valid path for the four rooms.", code=1)
     animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
@@ -45,8 +38,6 @@ def run(output: Path) -> None:
     pairs = construct_pairs(problem.workspace, max_bytes=DEFAULT_BYTES).with_label("four rooms")
     plot.page(pairs).save(page := output / "four_rooms_distances.html")
     typer.echo(f"  wrote      {page}   (drag either end)")
-    phases.end("writing")
-    _planning.say_seconds(phases, solution)
 
 
 def _maze(output: Path) -> None:

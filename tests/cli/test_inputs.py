@@ -6,8 +6,8 @@ from cli_helpers import done
 from PIL import Image
 
 from plr_jax import scenes
-from plr_jax.cli._inputs import numbers_of, parse_goal
-from plr_jax.cli._maps import NamedMap
+from plr_jax.cli.app import numbers_of
+from plr_jax.cli.inputs import NamedMap, parse_goal
 
 
 @pytest.mark.parametrize("text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1_0,2", "1,2_000", "1e400,1"])
@@ -62,13 +62,13 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(name, area, goal, maps, monkey
     ],
 )
 def test_a_map_is_named_again_by_its_text(named):
-    assert NamedMap.of(str(named)) == named
+    assert NamedMap.parse(str(named)) == named
 
 
 @pytest.mark.parametrize("text", ["", "a.png --resolution", "a.png --resolution=x", "a.png --frame=1", "a.png 'b"])
 def test_a_text_that_names_no_map_is_refused(text):
     with pytest.raises(ValueError, match="expected a map and options"):
-        NamedMap.of(text)
+        NamedMap.parse(text)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,328 @@
+"""The commands that read a file of a PLR or of pairs: query, info, plot, export, view; and the demo."""
+
+import re
+from enum import StrEnum
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from plr_jax.cli.app import command, printable
+from plr_jax.cli.inputs import (
+    PICTURES,
+    FileArgument,
+    GoalOption,
+    parse_goal,
+    read_map_of_file,
+    require_writable,
+)
+from plr_jax.cli.rows import PointTable, open_table, print_answers
+
+
+def _holds_pairs(file: Path) -> bool:
+    from plr_jax.plr.file.container import holds_pairs, read_bytes
+
+    try:
+        return holds_pairs(read_bytes(file))
+    except ValueError:  # the reader of the file says better what is wrong
+        return False
+
+
+def _distance_to_goal(pairs: Any, file: Path, goal: str | None) -> Any:
+    if goal is None:
+        raise ValueError(f"{file} holds the distance between any two points: give one with --goal X,Y.")
+    return pairs.to(parse_goal(goal))
+
+
+@command(
+    "plr-jax query maze.plr points.csv",
+    "plr-jax query maze.plr points.csv --bounds",
+    "echo 0.93,0.95 | plr-jax query maze.plr",
+    "echo 0.93,0.95,0.1,0.1 | plr-jax query maze.pairs",
+)
+def query(
+    file: FileArgument,
+    points: Annotated[
+        str,
+        typer.Argument(
+            metavar="[POINTS.csv | -]", help="Points, x,y in each line; for pairs both ends, x,y,x,y; - is stdin."
+        ),
+    ] = "-",
+    gradient: Annotated[
+        bool, typer.Option("--gradient", help="Print distance,dx,dy: the gradient beside the distance.")
+    ] = False,
+    bounds: Annotated[
+        bool, typer.Option("--bounds", help="Print distance,lower,upper: proven bounds beside the distance.")
+    ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first row that is no point.")] = False,
+) -> None:
+    """Print the distance of each point, one in each line: inf outside the domain, nan for a row that is no point.
+
+    Rows that are no points are reported on standard error. A first line of names is a header. Tables of any length
+    are answered in little memory.
+    """
+    import sys
+
+    if sys.stdout is None:
+        raise ValueError("Standard output is closed: there is nowhere to print answers.")
+    is_pairs = _holds_pairs(file)
+    if is_pairs and gradient:
+        raise ValueError(f"--gradient is for PLRs, and {file} holds pairs.")
+    reader, gradients = _reader(file, is_pairs), _gradients(file) if gradient else None
+    if bounds and not is_pairs and reader.max_error is None:
+        raise ValueError(f"Nothing is proven of {file}: files that plr-jax build writes have a proof.")
+
+    def answers(x: np.ndarray) -> np.ndarray:
+        ends = np.split(x, 2, axis=1) if is_pairs else [x]
+        columns = [reader(*ends)]
+        columns += [gradients(x)] if gradients is not None else []
+        columns += reader.bounds(*ends) if bounds else []
+        return np.column_stack(columns)
+
+    name, table = open_table(points)
+    with table:
+        print_answers(map(answers, PointTable(name, 4 if is_pairs else reader.dim, strict).chunks(table)))
+
+
+def _reader(file: Path, is_pairs: bool) -> Any:
+    """Return what answers a file in NumPy; pairs of a grid are answered by JAX, compiled for few sizes."""
+    if not is_pairs:
+        from plr_jax.plr import load_numpy
+
+        return load_numpy(file)
+    from plr_jax import load
+
+    pairs = load(file)
+    return pairs.numpy() if hasattr(pairs, "numpy") else pairs
+
+
+def _gradients(file: Path) -> Any:
+    """Return the function of the gradients at points, compiled for few sizes; NaN for NaN."""
+    import jax
+
+    from plr_jax import load
+    from plr_jax._arrays import padded, padded_size
+
+    compiled = jax.jit(jax.vmap(jax.grad(load(file))))
+
+    def gradients(x: np.ndarray) -> np.ndarray:
+        found = np.asarray(compiled(padded(x, padded_size(len(x)))))[: len(x)]
+        return np.where(np.isnan(x).any(axis=1, keepdims=True), np.nan, found)
+
+    return gradients
+
+
+@command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
+def info(
+    file: FileArgument, json: Annotated[bool, typer.Option("--json", help="As an object of JSON.")] = False
+) -> None:
+    """Print what is in a file."""
+    from plr_jax import load
+    from plr_jax._arrays import told
+    from plr_jax.plr import PLR
+
+    content = load(file)
+    domain = content.domain
+    facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
+    facts |= {"lo": told(domain.lo), "hi": told(domain.hi)}
+    facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
+    names = [
+        "label",
+        "num_bytes",
+        "num_leaves",
+        "num_unreachable",
+        "num_corners",
+        "num_landmarks",
+        "depth",
+        "max_error",
+    ]
+    facts |= {name: getattr(content, name) for name in names if hasattr(content, name)}
+    if isinstance(content, PLR):  # the tables of pairs may take long to make
+        facts |= {"leaf": content.leaf.name, "resident_bytes": content.resident_bytes}
+    if json:
+        typer.echo(dumps(facts, indent=2))
+        return
+    periodic = f", periodic along axes {facts['periodic_axes']}" if facts["periodic_axes"] else ""
+    lines = {"file": facts["file"], "label": facts.get("label") or "none"}
+    lines["leaf" if "leaf" in facts else "holds"] = facts.get("leaf", facts["holds"])
+    lines["domain"] = f"{facts['lo']} to {facts['hi']} ({domain.dim}-D{periodic})"
+    num_bytes = f"{facts['num_bytes']:,} in the file"
+    if "leaf" in facts:
+        lines["leaves"] = f"{facts['num_leaves']:,}, of which {facts['num_unreachable']:,} unreachable"
+        lines["depth"] = str(facts["depth"])
+        proven = facts["max_error"]
+        lines["proof"] = "none" if proven is None else f"largest error {proven:.3g}"
+        num_bytes += f", {facts['resident_bytes']:,} in memory"
+    else:
+        lines["corners"] = f"{facts['num_corners']:,}"
+        if facts.get("num_landmarks"):
+            lines["landmarks"] = f"{facts['num_landmarks']:,}: distances are bounds"
+    lines["bytes"] = num_bytes
+    typer.echo("\n".join(f"{name:11}{printable(text)}" for name, text in lines.items()))
+
+
+class Picture(StrEnum):
+    """What ``plr-jax plot`` draws."""
+
+    distance = "distance"
+    cells = "cells"
+    surface = "surface"
+    error = "error"
+
+
+MapOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MAP",
+        help="Draw this map's obstacles. Options of its reader may follow: 'scan.png --resolution=0.05'.",
+        show_default="what FILE was built of",
+    ),
+]
+
+
+@command(
+    "plr-jax plot maze.plr -o maze.png",
+    "plr-jax plot maze.plr --kind error -o error.png",
+    "plr-jax plot maze.pairs --goal 0.1,0.1 -o maze.png",
+)
+def plot(
+    file: FileArgument,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="The picture to write: .png (also without an ending), .pdf or .svg."),
+    ],
+    map: MapOption = None,
+    goal: GoalOption = None,
+    kind: Annotated[
+        Picture,
+        typer.Option(help="Colors and contours; the partition; a surface; the error, which needs the map."),
+    ] = Picture.distance,
+) -> None:
+    """Draw a file; for pairs, the distance to the goal."""
+    from plr_jax import VisibilityGraph, load, metrics
+    from plr_jax import plot as draw
+    from plr_jax.plr import PLR
+
+    output = output if output.suffix else output.with_name(f"{output.name}.png")
+    require_writable(output, PICTURES, inputs=(file, map))
+    content = load(file)
+    is_pairs = not isinstance(content, PLR)
+    plr = _distance_to_goal(content, file, goal) if is_pairs else content
+    if plr.domain.dim != 2:
+        raise ValueError(f"{file} has {plr.domain.dim} axes, and a picture has two: see plr_jax.plot.slices.")
+    if not isinstance(plr, PLR) and kind is not Picture.distance:
+        raise ValueError(f"{file} holds pairs of cells of a grid: only the distance is drawn.")
+    of_map = None if is_pairs else goal
+    workspace, target = read_map_of_file(file, content, map, of_map, is_needed=kind is Picture.error)
+    target = parse_goal(str(goal)) if is_pairs else target
+    match kind:
+        case Picture.distance:
+            ax = draw.plot_contours(plr, workspace=workspace, goal=target)
+        case Picture.cells:
+            ax = draw.plot_cells(plr, workspace=workspace)
+        case Picture.surface:
+            ax = draw.plot_surface(plr, workspace=workspace)
+        case Picture.error:
+            if workspace is None or target is None:
+                raise ValueError(f"{file} does not say of which map and goal it is: give --map, and --goal X,Y.")
+            ax = draw.plot_error(metrics.error_grid(plr, VisibilityGraph(workspace, target), workspace), workspace)
+    draw.save(ax, output)
+    typer.echo(f"wrote {output}")
+
+
+@command(
+    "plr-jax export maze.plr -o plr_maze.h",
+    "plr-jax export maze.plr -o include/maze.h --name level_1",
+    "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
+    "plr-jax export maze.plr --js -o maze.mjs",
+    "plr-jax export grid.pairs -o grid.h",
+)
+def export(
+    file: FileArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write.", show_default=False)],
+    goal: GoalOption = None,
+    js: Annotated[
+        bool, typer.Option("--js/--c", help="As a module of JavaScript, or as a header of C99, also valid C++.")
+    ] = False,
+    name: Annotated[
+        str | None,
+        typer.Option(help="Prefix of all names in a header.", show_default="the header's name without its ending"),
+    ] = None,
+) -> None:
+    """Write a file as code that answers points, bit for bit as query does, and needs nothing else.
+
+    Pairs become the distance to one goal; as JavaScript without a goal, the distance between any two points. Pairs of
+    a grid become steps between any two cells: their header reads a file of tables, which is written beside it.
+    """
+    from plr_jax import load
+    from plr_jax._atomic import write_atomically
+    from plr_jax.plr import load_numpy
+
+    require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
+    if js and name is not None:
+        raise ValueError("--name is for headers of C: a module of JavaScript exports fixed names.")
+    is_pairs = _holds_pairs(file)
+    content: Any = load(file) if is_pairs else load_numpy(file)
+    prefix = output.stem if name is None else name
+    if hasattr(content, "window"):  # pairs of a grid
+        if js:
+            raise ValueError(f"{file} holds pairs of cells of a grid, which JavaScript does not answer.")
+        if goal is not None:
+            raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
+        require_writable(tables := output.with_suffix(".tables"), inputs=(file,))
+        header = content.c_header(prefix)
+        write_atomically(tables, header.table)
+        write_atomically(output, header.text.encode())
+        typer.echo(f"wrote {output}: {len(header.text):,} bytes of text, and {tables}: {len(header.table):,} bytes")
+        return
+    if is_pairs and not (js and goal is None):
+        content = _distance_to_goal(content, file, goal)
+    elif goal is not None:
+        raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
+    text = content.js_module() if js else content.c_header(prefix)
+    write_atomically(output, text.encode())
+    (tables,) = [None] if js else re.findall(r"tables take ([\d,]+) bytes", text)
+    compiled = "" if js else f", {tables} of tables when it is compiled"
+    typer.echo(f"wrote {output}: {len(text):,} bytes of text{compiled}")
+
+
+@command("plr-jax view maze.plr", "plr-jax view maze.plr maze -o page.html", "plr-jax view maze.pairs")
+def view(
+    file: FileArgument,
+    map: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[MAP]",
+            help="Draw this map's obstacles, as --map of plot; pairs bring their own.",
+            show_default="what FILE was built of",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html"),
+    ] = None,
+) -> None:
+    """Write a file as a page for a browser. It shows the distance, answers the pointer, and needs no network."""
+    from plr_jax import load
+    from plr_jax.plot import page
+
+    output = output or Path(f"{file.stem}.html")
+    require_writable(output, (".html",), inputs=(file, map))
+    content, workspace = load(file), None
+    if map is not None or not _holds_pairs(file):
+        workspace, _ = read_map_of_file(file, content, map, None, is_needed=False)
+    written = page(content, workspace)
+    written.save(output)
+    typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")
+
+
+@command("plr-jax demo --output pictures")
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("plr_jax_demo"),
+) -> None:
+    """Compress a maze, compare it with the exact distance, and draw it; plan for four robots."""
+    from plr_jax.cli.demo import run
+
+    run(output)

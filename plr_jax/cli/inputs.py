@@ -1,0 +1,349 @@
+"""What the commands are given: maps with the options of their readers, goals, names of files to write."""
+
+import errno
+import os
+import shlex
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from jaxtyping import Float
+
+from plr_jax.cli.app import numbers_of, reason_of, warn
+
+if TYPE_CHECKING:
+    from plr_jax.geometry.workspace import Workspace
+    from plr_jax.spaces import VoxelSpace
+
+SCENES = ("maze", "thin_maze", "floor_plan")
+DEFAULT_BYTES = 4_096  # limit of a file where no limit is given
+PICTURES = (".png", ".pdf", ".svg")
+_SAME_BOX = 1e-6  # two boxes count as the same if they differ by less, as a share of their width
+_OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "radius": float}  # others: str
+_VOLUME_OPTIONS = ("resolution", "box", "enclosed")
+
+MapArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="MAP",
+        help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
+        'costs do not count), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
+        "grid (.map), polygons with holes (.json), a scene (.json). build also takes volumes: an array (.npy), True "
+        "where it is free, voxels of Moving AI (.3dmap), a mesh (.stl, .obj, .ply).",
+        show_default=False,
+        autocompletion=lambda: list(SCENES),
+    ),
+]
+FileArgument = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A file of a PLR, or of pairs.", show_default=False)
+]
+GoalOption = Annotated[
+    str | None,
+    typer.Option(
+        "--goal",
+        "-g",
+        metavar="X,Y",
+        help="The goal; in a volume X,Y,Z. A scene of one robot, or the file of a PLR, has a goal of its own.",
+        show_default=False,
+    ),
+]
+
+
+def choices(names: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of an option whose help shows its choices, and which the shell completes."""
+    return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
+
+
+def _reading_option(help: str, default: str, **others: Any) -> Any:
+    return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read", **others)
+
+
+ResolutionOption = Annotated[
+    float | None,
+    _reading_option("Side of a pixel of a picture, or of a voxel, in workspace units; required for a mesh.", "1"),
+]
+ThresholdOption = Annotated[
+    float | None, _reading_option("Lightness above which a pixel is free: 0 is black, 1 white.", "0.5")
+]
+DropSpecksOption = Annotated[
+    int | None, _reading_option("Drop obstacles, and free places, of at most so many pixels.", "0")
+]
+PolygonsOption = Annotated[
+    str | None, _reading_option("What polygons of GeoJSON are.", "obstacles", **choices(("obstacles", "free")))
+]
+RadiusOption = Annotated[
+    float | None,
+    _reading_option("Radius of a round robot, in workspace units; distances are between its centers.", "0, a point"),
+]
+BoxOption = Annotated[
+    str | None,
+    _reading_option(
+        "Two corners of the box that a volume fills.",
+        "from 0 on with voxels as --resolution says, or the mesh's own",
+        metavar="X,Y,Z,X,Y,Z",
+    ),
+]
+EnclosedOption = Annotated[
+    str | None,
+    _reading_option("What the surface of a mesh encloses is.", "blocked", **choices(("blocked", "free"))),
+]
+
+
+def parse_goal(text: str, num_axes: int = 2) -> Float[np.ndarray, "num_axes"]:
+    """Return the point that ``X,Y`` names, or a point of another number of coordinates."""
+    goal = np.array(numbers_of(text))
+    if goal.shape != (num_axes,) or not np.isfinite(goal).all():
+        names, example = ",".join("XYZW"[:num_axes]), ",".join(("3", "28", "5", "1")[:num_axes])
+        count = ("one number", "two numbers", "three numbers", "four numbers")[num_axes - 1]
+        raise ValueError(f"--goal must be {count} {names} in one argument, such as {example}, got {text!r}.")
+    return goal
+
+
+def option_of(key: str) -> str:
+    """Return the command-line option of a field of :class:`NamedMap`."""
+    return f"--{key.replace('_', '-')}"
+
+
+def is_volume(name: str) -> bool:
+    """Return whether MAP is the file of a volume, by its ending."""
+    from plr_jax.scenes._volumes import VOLUME_ENDINGS
+
+    return Path(name).suffix.lower() in VOLUME_ENDINGS
+
+
+@dataclass(frozen=True)
+class NamedMap:
+    """A map or a volume as a command names it. Its text is the label of a file, and can be parsed again.
+
+    Attributes:
+        name: The name of a scene, or a file.
+        goal: ``X,Y``, or as many coordinates as a volume has axes. None: the goal of a scene of one robot.
+        resolution: An option of the reader, as are ``threshold``, ``drop_specks``, ``polygons``, ``box`` and
+            ``enclosed``. None: the reader's default.
+        radius: The radius of a disc or a ball. None: a point.
+    """
+
+    name: str
+    goal: str | None = None
+    resolution: float | None = None
+    threshold: float | None = None
+    drop_specks: int | None = None
+    polygons: str | None = None
+    box: str | None = None
+    enclosed: str | None = None
+    radius: float | None = None
+
+    def __str__(self) -> str:
+        return shlex.join([self.name, *(f"{option_of(key)}={value}" for key, value in self.given().items())])
+
+    @classmethod
+    def parse(cls, text: str) -> "NamedMap":
+        """Return the map that a text names; ``ValueError`` if it names none."""
+        try:
+            name, *options = shlex.split(text)
+            pairs = [option.removeprefix("--").split("=", 1) for option in options]
+            given = {key.replace("-", "_"): value for key, value in pairs}
+            named = cls(name, **{key: _OPTION_TYPES.get(key, str)(value) for key, value in given.items()})  # type: ignore[reportArgumentType]
+            if named.goal is not None:
+                parse_goal(named.goal, len(numbers_of(named.goal)) or 2)
+        except (ValueError, TypeError, IndexError):
+            named = None
+        if named is None or (named.name not in SCENES and not Path(named.name).suffix):
+            raise ValueError(f"expected a map and options of it, got {text!r}.")
+        return named
+
+    def given(self) -> dict[str, Any]:
+        """Return the options that are given, by field name."""
+        fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        return {key: value for key, value in fields_of_map.items() if value is not None}
+
+    def is_of_pixels(self) -> bool:
+        """Return whether the map is a picture, or has one, as maps of map_server do."""
+        from plr_jax.scenes import read_image, read_map_server
+        from plr_jax.scenes._workspaces import reader_of
+
+        return self.name not in SCENES and reader_of(Path(self.name)) in (read_image, read_map_server)
+
+    def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
+        """Return the workspace, inflated by the radius if there is one, and the goal if there is one.
+
+        Raises:
+            ValueError: If MAP is neither a scene nor the file of a map, or its reader has no such option.
+        """
+        from plr_jax import scenes
+
+        goal = None if self.goal is None else parse_goal(self.goal)
+        reading = {key: value for key, value in self.given().items() if key not in ("goal", "radius")}
+        if self.name not in SCENES and not Path(self.name).suffix:
+            raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
+        if self.name in SCENES or (Path(self.name).suffix == ".json" and scenes.is_scene(self.name)):
+            if reading:
+                options = ", ".join(map(option_of, reading))
+                raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
+            problem = getattr(scenes, self.name)() if self.name in SCENES else scenes.load(self.name)
+            workspace = problem.workspace
+            if goal is None and len(problem.robots) == 1:
+                goal = problem.goals[0, :2]
+        else:
+            workspace = self._read_file(reading, goal)
+        return (workspace if self.radius is None else workspace.inflate(self.radius)), goal
+
+    def _read_file(self, reading: dict[str, Any], goal: Float[np.ndarray, "2"] | None) -> "Workspace":
+        from plr_jax.scenes import read_geojson
+        from plr_jax.scenes._workspaces import options_of, reader_of
+
+        reader = reader_of(Path(self.name))
+        known = options_of(reader)
+        if unknown := ", ".join(option_of(key) for key in reading if key not in known):
+            others = ", ".join(option_of(field.name) for field in fields(self) if field.name in known)
+            raise ValueError(
+                f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
+            )
+        workspace = reader(Path(self.name), **reading)
+        if reader is read_geojson and goal is not None and not workspace.bounds.contains(goal[None])[0]:
+            raise ValueError(
+                f"The goal {goal.tolist()} lies outside the bounds {workspace.bounds} of {self.name}: give the file "
+                'a "bbox" with room for it; without one the bounds are those of its polygons.'
+            )
+        return workspace
+
+    def read_volume(self) -> tuple["VoxelSpace", Float[np.ndarray, "dim"]]:
+        """Return the space of a volume, and the goal.
+
+        Raises:
+            ValueError: If the file is damaged, has no such option, or no goal is given.
+        """
+        from plr_jax.geometry.box import Box
+        from plr_jax.scenes._volumes import is_mesh, volume_of
+        from plr_jax.spaces import VoxelSpace
+
+        others = [key for key in self.given() if key not in ("goal", "radius", *_VOLUME_OPTIONS)]
+        if others:
+            options = ", ".join(map(option_of, others))
+            raise ValueError(f"{self.name} is a volume, which is read without {options}: leave that out.")
+        box = None
+        if self.box is not None:
+            corners = numbers_of(self.box)
+            if not corners or len(corners) % 2:
+                raise ValueError(
+                    f"--box must be two corners X,Y,Z,X,Y,Z in one argument, such as 0,0,0,4,3,2, got {self.box!r}."
+                )
+            box = Box.of(np.reshape(corners, (2, -1)), "--box")
+        if is_mesh(self.name):
+            if self.resolution is None:
+                raise ValueError(f"{self.name} is a mesh: give the side of a voxel with --resolution.")
+            if self.enclosed not in (None, "blocked", "free"):
+                raise ValueError(f"--enclosed must be blocked or free, got {self.enclosed!r}.")
+            try:
+                free, bounds = volume_of(self.name, self.resolution, box, self.enclosed != "free")
+            except ImportError as error:
+                raise ValueError(str(error)) from error
+            if not free.any():
+                raise ValueError(
+                    f"{self.name} leaves no voxel free: --enclosed free leaves those that its surface encloses, a "
+                    "larger --box those around it."
+                )
+        else:
+            if self.enclosed is not None:
+                raise ValueError(f"{self.name} is an array of voxels, which encloses nothing: leave out --enclosed.")
+            if self.resolution is not None and box is not None:
+                raise ValueError("--box says how large voxels are: leave out --resolution.")
+            free, bounds = volume_of(self.name, None, None, True)
+            side = 1.0 if self.resolution is None else self.resolution
+            bounds = Box(bounds.lo, side * bounds.hi) if box is None else box
+        if self.goal is None:
+            names = ",".join("XYZW"[: free.ndim])
+            raise ValueError(f"{self.name} has no goal of its own: give one with --goal {names}.")
+        return VoxelSpace(free, bounds, self.radius or 0.0), parse_goal(self.goal, free.ndim)
+
+
+def read_map_of_file(
+    file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
+) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
+    """Return the workspace and the goal that belong to a file; None for what nobody names.
+
+    Args:
+        file: The file of a PLR or of pairs. A map that its label names is also looked for beside the file.
+        content: The PLR or the pairs.
+        map_text: MAP and options of its reader, if the user names it. The label of the file has the others.
+        goal: The goal, if the user names it.
+        is_needed: Whether a map that cannot be read is an error, and not a warning.
+
+    Raises:
+        ValueError: If a goal is given, but neither the user nor the label names a map; if the user's map is none.
+    """
+    try:
+        labeled = NamedMap.parse(getattr(content, "label", ""))
+    except ValueError:
+        labeled = None
+    if map_text is not None:
+        named = NamedMap.parse(map_text)
+        if labeled is not None and Path(named.name).name == Path(labeled.name).name:
+            named = replace(labeled, name=named.name, **named.given())
+        elif labeled is not None:
+            named = replace(named, goal=named.goal or labeled.goal)
+    elif labeled is not None:
+        beside = file.parent / Path(labeled.name).name
+        is_moved = labeled.name not in SCENES and not Path(labeled.name).exists() and beside.exists()
+        named = replace(labeled, name=str(beside)) if is_moved else labeled
+    elif goal is not None:
+        raise ValueError(f"{file} does not say of which map it is: --goal needs --map.")
+    else:
+        return None, None
+    named = replace(named, goal=goal or named.goal)
+    try:
+        workspace, target = named.read()
+    except (OSError, ValueError) as error:
+        if map_text is not None:
+            raise
+        reason = reason_of(error).rstrip(".")
+        missing = f"the map that {file} was built of cannot be read ({reason}): name it with --map"
+        if is_needed:
+            raise ValueError(f"{missing}.") from error
+        warn(f"{missing}; drawn without its obstacles.")
+        return None, None if named.goal is None else parse_goal(named.goal)
+    ours, theirs = workspace.bounds, content.domain
+    if ours.dim != theirs.dim or not np.allclose(
+        [ours.lo, ours.hi], [theirs.lo, theirs.hi], rtol=0, atol=_SAME_BOX * ours.width.max()
+    ):
+        warn(
+            f"the map is {ours}, but {file} covers {theirs}: it may be another map, or this map read with "
+            "other options, such as --resolution."
+        )
+    return workspace, target
+
+
+def require_writable(
+    path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
+) -> None:
+    """Refuse a file that cannot be written, before any work is done.
+
+    Args:
+        path: The file to write. None: nothing is written.
+        endings: The endings that the file may have. Empty: any.
+        inputs: Files that are read, and must not be written over.
+    """
+    if path is None:
+        return
+    if endings and path.suffix.lower() not in endings:
+        raise ValueError(f"{path} must end in {' or '.join(endings)}.")
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        mode = None
+    folder = path.resolve().parent
+    if mode is not None and stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    for file in inputs:
+        if mode is not None and file is not None and os.path.exists(file) and os.path.samefile(file, path):
+            raise ValueError(f"{path} is read, and would be written over: name another file to write.")
+    if not folder.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
+    # A file is replaced by a new file in its folder, but a device or a pipe is written to.
+    places = [path] * (mode is not None) + [folder] * (mode is None or stat.S_ISREG(mode))
+    if not all(os.access(place, os.W_OK) for place in places):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))

@@ -1,0 +1,147 @@
+"""Tables of points, read and answered block by block: any number of rows in little memory."""
+
+import io
+import re
+import sys
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax.cli.app import numbers_of, warn
+
+_BLOCK_BYTES = _MOST_LINE_BYTES = 1 << 20
+_MOST_WARNINGS, _MOST_SHOWN = 10, 80
+_OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # NumPy takes b"\xa01" for a number, we do not
+
+
+@dataclass
+class PointTable:
+    """Points as lines of text: ``dim`` comma-separated numbers in each line, after an optional header.
+
+    A row of anything else, also a blank line, becomes NaN, and is reported on standard error: the first few rows,
+    and then their number. Blank lines at the end are no rows.
+
+    Attributes:
+        name: The name of the table in errors.
+        dim: Numbers in each line.
+        strict: Whether such a row is an error, raised after the rows before it.
+    """
+
+    name: str
+    dim: int
+    strict: bool = False
+    num_lines: int = field(default=0, init=False)
+    num_bad: int = field(default=0, init=False)
+
+    def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
+        """Yield the points, some at a time.
+
+        Raises:
+            ValueError: If the table is no text, has no points, or has a row that is no point and is ``strict``.
+        """
+        expected, is_empty = f"{self.dim} comma-separated numbers", True
+        for block in self._blocks(file):
+            lines = block.removesuffix(b"\n").split(b"\n")
+            if self.num_lines == 0 and _is_header(lines[0]):
+                self.num_lines += 1
+                lines, block = lines[1:], block.partition(b"\n")[2]
+            # 1. The usual block: NumPy reads all of it at once.
+            points = np.full((len(lines), self.dim), np.nan)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # blank lines are reported below
+                    read = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+                is_plain = read.shape == points.shape and not block.translate(None, _OF_NUMBERS)
+                points = read if is_plain else points
+            except ValueError:
+                is_plain = False
+            # 2. A block with a bad row: line by line.
+            error = None
+            for index, line in enumerate(() if is_plain else lines):
+                text = line.rstrip(b"\r").decode(errors="replace")
+                numbers = numbers_of(text)
+                if len(numbers) == self.dim:
+                    points[index] = numbers
+                    continue
+                self.num_bad += 1
+                text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
+                message = f"{self.name}, line {self.num_lines + index + 1}: expected {expected}, got {text!r}"
+                if self.strict:
+                    points, error = points[:index], message
+                    break
+                if self.num_bad <= _MOST_WARNINGS:
+                    warn(f"{message}; the answer is nan.")
+                if self.num_bad == _MOST_WARNINGS:
+                    warn("further such rows are only counted.")
+            self.num_lines += len(lines)
+            if len(points):
+                is_empty = False
+                yield points
+            if error is not None:
+                raise ValueError(f"{error}.")
+        if is_empty:
+            raise ValueError(f"{self.name} has no points: expected {expected} in each line.")
+        if self.num_bad > _MOST_WARNINGS:
+            warn(f"{self.name} has {self.num_bad:,} rows that are no points.")
+
+    def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
+        """Yield whole lines as they come, each block with its last newline, without blank lines at the end.
+
+        Blank lines wait, as a number, for a line that is not blank.
+        """
+        rest, num_blank, is_start = b"", 0, True
+        while data := file.read1(_BLOCK_BYTES):
+            rest += data
+            if is_start:
+                if b"\0" in rest:
+                    raise ValueError(f"{self.name} is not a text file.")
+                rest, is_start = rest.removeprefix(b"\xef\xbb\xbf"), False  # the mark that spreadsheets write
+            num_filled = len(rest.rstrip())
+            end = rest.find(b"\n", num_filled) + 1 or rest.rfind(b"\n", 0, num_filled) + 1
+            if num_filled and end:
+                yield from _blank_lines(num_blank)
+                yield rest[:end]
+                rest, num_blank = rest[end:], 0
+            if not rest.strip():
+                num_blank += rest.count(b"\n")
+                rest = rest[rest.rfind(b"\n") + 1 :]
+            if len(rest) > _MOST_LINE_BYTES:
+                line = self.num_lines + num_blank + 1
+                raise ValueError(f"{self.name}, line {line}: longer than {_MOST_LINE_BYTES:,} bytes.")
+        if rest.strip():
+            yield from _blank_lines(num_blank)
+            yield rest.rstrip() + b"\n"
+
+
+def open_table(source: str) -> tuple[str, Any]:
+    """Return the name and the bytes of a file, or of standard input for ``-``."""
+    if source != "-":
+        return source, open(source, "rb")
+    if sys.stdin is None:
+        raise ValueError("Standard input is closed: name a file of points.")
+    return "stdin", sys.stdin.buffer
+
+
+def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
+    """Print answers, one row in each line, chunk by chunk."""
+    for answers in chunks:
+        line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
+        sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))
+        sys.stdout.flush()
+
+
+def _blank_lines(count: int) -> Iterator[bytes]:
+    """Yield so many blank lines, in blocks."""
+    for start in range(0, count, _BLOCK_BYTES):
+        yield b"\n" * min(_BLOCK_BYTES, count - start)
+
+
+def _is_header(line: bytes) -> bool:
+    """Return whether a line is a header: each name begins with a letter, and none is a number, as ``nan`` is."""
+    names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
+    begin = all(name[0].isalpha() or name[0] == "_" for name in names)
+    return bool(names) and begin and not any(map(numbers_of, names))
