@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax import PLR
-from plr_jax.plr.portable.evaluator import NumpyPLR
+from plr_jax.plr.portable.numpy import NumpyPLR
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-ffp-contract=off"]
 """Options with which headers compile, as C99 and as C++."""

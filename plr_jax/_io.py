@@ -8,15 +8,14 @@ from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
 from plr_jax.pairs.grid_pairs import GridPairs
 from plr_jax.pairs.pair_plr import PairPLR, pairs_from_bytes
-from plr_jax.plr._assembly import from_bytes
-from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.container import GRID_MAGIC, holds_pairs, read_bytes
+from plr_jax.plr._plr import PLR, from_bytes
+from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 
 
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
     """Write a PLR, or pairs of points or of cells of a grid, to a file of ``plr.num_bytes`` bytes.
 
-    The formats are documented in ``plr_jax/plr/file/container.py`` and ``plr_jax/pairs/grid_pairs.py``. The file is
+    The formats are documented in ``plr_jax/plr/container.py`` and ``plr_jax/pairs/grid_pairs.py``. The file is
     complete or absent: it is written under another name first, then renamed.
 
     Args:

@@ -18,7 +18,7 @@ import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
 from plr_jax.pairs.outline import Outline
 from plr_jax.pairs.stored import Stored
-from plr_jax.plr.file.container import Header
+from plr_jax.plr.container import Header
 from plr_jax.plr.partition.cells import Cells, levels_of
 
 _GRID = """type octile

@@ -26,16 +26,19 @@ LAYERS = [
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
     ["partition", "folding"],
-    ["query", "sampling", "file"],
+    ["frame", "coding", "sampling"],
+    ["container"],
     ["certificate"],
     ["growth"],
     ["leaves"],
     ["_file"],
     ["_proof"],
-    ["_update"],
+    ["tables"],
+    ["query"],
+    ["points"],
     ["portable"],
     ["_plr"],
-    ["_assembly", "_location", "_stack"],
+    ["_stack"],
     ["_certify"],
     ["_best", "_checkpoint", "_trace", "refinement"],
     ["_chunks", "_construct"],
@@ -54,7 +57,7 @@ PLANNER_LAYERS = [
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {
-    "growth": {"partition", "query", "sampling", "file", "certificate"},
+    "growth": {"partition", "frame", "sampling", "coding", "certificate"},
 }
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
 TREES = {path.relative_to(PACKAGE): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}

@@ -4,7 +4,7 @@ import pytest
 from hostile_files import MOST_GROWTH, Outcome, attempt, hostile, trial
 from hostile_readers import READERS, Reader
 
-from plr_jax.plr.file.container import Container, Header
+from plr_jax.plr.container import Container, Header
 
 NUMBER = 60
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax import PLR
-from plr_jax.plr.query.frame import Frame
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.frame import Frame
+from plr_jax.plr.tables import Tables
 
 _FRACTION_BITS = 23  # of a 32-bit float
 _POINTS_A_TASK = 2**14

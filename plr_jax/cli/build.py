@@ -167,7 +167,7 @@ def _build(
     Returns:
         The PLR, whose file has at most ``max_bytes`` with its label, and whether Ctrl-C ended the work early.
     """
-    from plr_jax.plr.file.container import frame_size, require_label
+    from plr_jax.plr.container import frame_size, require_label
     from plr_jax.plr.growth.limits import BudgetTooSmall
 
     require_label(label := str(named))

@@ -22,7 +22,7 @@ from plr_jax.cli.rows import PointTable, open_table, print_answers
 
 
 def _holds_pairs(file: Path) -> bool:
-    from plr_jax.plr.file.container import holds_pairs, read_bytes
+    from plr_jax.plr.container import holds_pairs, read_bytes
 
     try:
         return holds_pairs(read_bytes(file))

@@ -7,12 +7,10 @@ from plr_jax._arrays import runs
 from plr_jax.eikonal.elements import basis
 from plr_jax.eikonal.field import CostToGoField, MeshEstimate
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents, filled_coefficients
-from plr_jax.plr._plr import PLR
-from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.certificate.certificate import Certificate, Proof
-from plr_jax.plr.file.container import frame_size
+from plr_jax.plr._plr import PLR, plr_of_leaves
+from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
+from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.leaves import leaf_model

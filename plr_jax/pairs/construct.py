@@ -18,8 +18,8 @@ from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.portable import RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
 from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
-from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.container import frame_size
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.limits import Limits, check_limits, grow
 from plr_jax.plr.partition.cells import Cells, levels_of
 

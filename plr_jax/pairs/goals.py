@@ -24,7 +24,7 @@ from plr_jax.pairs.query import (
     with_bit,
 )
 from plr_jax.pairs.tables import PairTables
-from plr_jax.plr.query.lookup import lookup
+from plr_jax.plr.query import lookup
 
 
 @jax.tree_util.register_dataclass

@@ -13,7 +13,7 @@ from jaxtyping import Shaped
 from plr_jax.pairs.grid_corners import FAR, CornerTable
 from plr_jax.pairs.grid_query import BLOCK, GROUP, GridTables
 from plr_jax.pairs.grid_sectors import open_length, units
-from plr_jax.plr.portable.code import require_identifier
+from plr_jax.plr.portable.writers import require_identifier
 
 _ALIGNED = 64
 _MAGIC = b"plr_jax grid 1\n\0"

@@ -27,8 +27,8 @@ from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_p
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, TablesTooLarge
 from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr._checkpoint import require_path
-from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import GRID_MAGIC
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.sampling.asked import as_executor
 
 # The file of the distances between all pairs of cells of a grid: the grid, and how many landmarks bound them if they
@@ -43,7 +43,7 @@ from plr_jax.plr.sampling.asked import as_executor
 #     u32     number of columns
 #     u32     size of the whole file in bytes
 #     u32     number of landmarks of each part of the grid; not in version 1
-#     ...     bit stream, see ``plr/file/bits.py``: the set of the cells that differ from the one above, in row-major
+#     ...     bit stream, see ``plr/coding.py``: the set of the cells that differ from the one above, in row-major
 #             order; above the first row all are blocked
 #     u32     CRC-32 of all bytes before
 

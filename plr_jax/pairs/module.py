@@ -5,10 +5,9 @@ from pathlib import Path
 
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.portable import crossings, straight_length, straight_line_of, winding
-from plr_jax.plr.file.container import Container, Header
-from plr_jax.plr.portable.code import ends_of, indented
-from plr_jax.plr.portable.module import NAMED_NUMBERS, JavaScriptWriter, function, js_file_reader, tables_axes
-from plr_jax.plr.portable.text import Text
+from plr_jax.plr.container import Container, Header
+from plr_jax.plr.portable.javascript import NAMED_NUMBERS, JavaScriptWriter, function, js_file_reader, tables_axes
+from plr_jax.plr.portable.writers import Text, ends_of, indented
 
 _PAIRS_READER = Path(__file__).with_name("pairs.js")
 

@@ -10,9 +10,8 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import as_finite_point, run_members
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.pairs.stored import Stored
-from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.partition.cells import Cells, Tree, levels_of, tree_of

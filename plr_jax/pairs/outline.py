@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.vectors import left_normal
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
 _OF_CONTACTS = 1 / 16  # times as far do contacts move back

@@ -34,11 +34,9 @@ from plr_jax._arrays import runs
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import Stored, distances_table
-from plr_jax.plr.portable.arithmetic import Operations, Point, Value, length
-from plr_jax.plr.portable.evaluator import ARRAYS, as_float_points
-from plr_jax.plr.portable.leaf_table import LeafTable
-from plr_jax.plr.portable.program import CodedTree, partitioned_axes
-from plr_jax.plr.query.frame import Frame, frame_of
+from plr_jax.plr.frame import Frame, frame_of
+from plr_jax.plr.portable.arithmetic import CodedTree, Operations, Point, Value, length, partitioned_axes
+from plr_jax.plr.portable.numpy import ARRAYS, LeafTable, as_float_points
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""

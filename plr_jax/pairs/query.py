@@ -23,8 +23,8 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 
 from plr_jax.pairs.portable import crossings, straight_line_of, winding
 from plr_jax.pairs.tables import PairTables, last_bits_of
-from plr_jax.plr.portable.evaluator import ARRAYS
-from plr_jax.plr.query.lookup import lookup
+from plr_jax.plr.portable.numpy import ARRAYS
+from plr_jax.plr.query import lookup
 
 _AT_ONCE = 2**14
 _MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then

@@ -1,6 +1,6 @@
 """What the file of a PairPLR holds, and its layout.
 
-It is a PLR file (see ``plr/file/container.py``) of three layers, whose leaf model has the code 7. The first one is
+It is a PLR file (see ``plr/container.py``) of three layers, whose leaf model has the code 7. The first one is
 all that one goal needs:
 
     the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
@@ -36,8 +36,8 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.outline import Outline, read_outline
-from plr_jax.plr.file.bits import BitReader, BitWriter, read_tree, write_tree
-from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer
+from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
+from plr_jax.plr.container import PAIRS_CODE, Container, Layer
 from plr_jax.plr.partition.cells import Cells, Level, Tree, levels_of, tree_of_levels
 
 if TYPE_CHECKING:

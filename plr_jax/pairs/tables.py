@@ -13,8 +13,8 @@ from plr_jax.pairs.near_walls import NearWalls
 from plr_jax.pairs.occluders import occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, seen_corners, walls_with_sides
 from plr_jax.pairs.stored import Stored, distances_table
-from plr_jax.plr.query.frame import unresolved_types
-from plr_jax.plr.query.tables import Tables, build_tables
+from plr_jax.plr.frame import unresolved_types
+from plr_jax.plr.tables import Tables, build_tables
 
 _UNROLLED = 16  # walls, or occluders, at a time
 _LEAVES_AT_ONCE = 32

@@ -14,10 +14,10 @@ from plr_jax.pairs import PairPLR
 from plr_jax.pairs.module import js_pairs_reader, require_lists
 from plr_jax.plot._html import PLAY, document, framed, obstacles_path, packed_script, part
 from plr_jax.plr import PLR, NumpyPLR
-from plr_jax.plr.file.container import Container
+from plr_jax.plr.container import Container
 from plr_jax.plr.leaves import leaf_of_code
 from plr_jax.plr.leaves.base import SourcedLeafModel
-from plr_jax.plr.portable.module import js_cone_reader, js_file_reader
+from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
 _FRAME = (560, 900)  # pixels of a page inside another one
 _EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)

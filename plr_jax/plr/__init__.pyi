@@ -1,8 +1,8 @@
-from ._assembly import from_bytes as from_bytes
 from ._certify import certify as certify
 from ._construct import construct as construct
 from ._construct_many import construct_many as construct_many
 from ._plr import PLR as PLR
+from ._plr import from_bytes as from_bytes
 from ._stack import PLRStack as PLRStack
 from ._stack import evaluate as evaluate
 from ._stack import stack as stack
@@ -17,8 +17,8 @@ from .growth.best_first import maximum_depth as maximum_depth
 from .growth.limits import ConstructionInterrupted as ConstructionInterrupted
 from .leaves.continuous.model import Continuous as Continuous
 from .leaves.plane import Plane as Plane
-from .portable.evaluator import NumpyPLR as NumpyPLR
-from .portable.evaluator import load_numpy as load_numpy
+from .portable.numpy import NumpyPLR as NumpyPLR
+from .portable.numpy import load_numpy as load_numpy
 from .refinement.objective import Faces as Faces
 from .refinement.objective import Planes as Planes
 from .refinement.objective import eikonal as eikonal

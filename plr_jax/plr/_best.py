@@ -18,7 +18,7 @@ from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import SourcedLeafModel
 from plr_jax.plr.partition.cells import grown_domain
-from plr_jax.plr.portable.evaluator import NumpyPLR
+from plr_jax.plr.portable.numpy import NumpyPLR
 
 BEST = "best"
 _MOST_TIED_AXES = 6

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellwiseFn, ChangingFn, DistanceFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._proof import certificate_of
-from plr_jax.plr._update import Origin
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr._proof import Origin, certificate_of
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves.base import FamilyLeafModel
 from plr_jax.plr.partition.cells import grown_domain
 
@@ -38,8 +37,10 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal: then
             nothing can be proven.
     """
-    from plr_jax.plr._assembly import with_certificate
-    from plr_jax.plr._plr import PLR  # and JAX, which no proof needs
+    from plr_jax.plr._plr import (
+        PLR,  # and JAX, which no proof needs
+        with_certificate,
+    )
 
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")

@@ -18,17 +18,16 @@ from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
-from plr_jax.plr._proof import certificate_of
-from plr_jax.plr._update import Origin, can_be_updated
-from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.container import frame_size
-from plr_jax.plr.folding.choice import folding_of
+from plr_jax.plr._proof import Origin, can_be_updated, certificate_of
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.container import frame_size
+from plr_jax.plr.folding import folding_of
+from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel
 from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.sampling.asked import AskedFn, as_executor
 from plr_jax.plr.sampling.cell_fit import FitRule, Sampler, WeightFn, least_squares, sample_pattern
 from plr_jax.plr.sampling.cell_memory import CellMemory
@@ -48,7 +47,7 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
 
     @wraps(leaves_of)
     def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> "PLR":
-        from plr_jax.plr._assembly import plr_of_leaves
+        from plr_jax.plr._plr import plr_of_leaves
 
         given = signature(leaves_of).bind(*args, **kwargs).arguments
         plr = plr_of_leaves(contents := leaves_of(*args, **kwargs))

@@ -14,14 +14,14 @@ from tqdm import tqdm
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._assembly import deferred_plr
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._chunks import Chunk, Done
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, encode
+from plr_jax.plr._plr import deferred_plr
 from plr_jax.plr._proof import certificate_of
-from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.container import frame_size
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves

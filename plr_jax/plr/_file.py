@@ -1,6 +1,6 @@
 """A PLR's file: the tree of its leaves, and what their model keeps of them.
 
-See ``file/container.py`` for the layout, the same on every machine.
+See ``container.py`` for the layout, the same on every machine.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,15 @@ from jaxtyping import Float
 
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
-from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
-from plr_jax.plr.file.bits import BitReader, BitWriter, read_tree, write_tree
-from plr_jax.plr.file.container import Container, Layer
-from plr_jax.plr.folding.folding import Folding
+from plr_jax.plr.certificate import Certificate, Proof, read_certificate
+from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
+from plr_jax.plr.container import Container, Layer
+from plr_jax.plr.folding import Folding
+from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, SourcedLeafModel, linear_mean_planes
 from plr_jax.plr.partition.cells import Cells, Level, tree_of_levels
 from plr_jax.plr.partition.faces import neighbor_of_largest_contact
-from plr_jax.plr.query.frame import LARGEST, Corner, table_corners
-from plr_jax.plr.query.grid import FRACTION_BITS
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -23,14 +23,13 @@ from plr_jax.plr._file import (
     filled_coefficients,
     planes_of_leaves,
 )
-from plr_jax.plr._update import Origin, require_updatable, updated_contents
-from plr_jax.plr.file.container import Container
-from plr_jax.plr.file.held import HeldFile, held
+from plr_jax.plr._proof import Origin, require_updatable, updated_contents
+from plr_jax.plr.certificate import Certificate
+from plr_jax.plr.container import Container, HeldFile, held
+from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.portable.evaluator import NumpyPLR
-from plr_jax.plr.query.frame import Corner, Outside, as_outside, corner_if_far
-from plr_jax.plr.query.points import (
+from plr_jax.plr.points import (
     LowerBound,
     PointPlacement,
     TableStack,
@@ -38,9 +37,11 @@ from plr_jax.plr.query.points import (
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
+    find_leaves,
     waypoints_of_points,
 )
-from plr_jax.plr.query.tables import Tables, build_tables
+from plr_jax.plr.portable.numpy import NumpyPLR
+from plr_jax.plr.tables import Tables, build_tables
 
 
 @jax.tree_util.register_dataclass
@@ -435,3 +436,74 @@ def assembled(data: bytes, contents: Contents) -> PLR:
     domain = contents.domain if contents.folding is None else contents.folding.domain
     vars(plr).update(domain=domain, _corner_if_far=corner_if_far(domain))
     return plr
+
+
+def from_bytes(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold.
+
+    Args:
+        data: What :meth:`PLR.to_bytes` gave.
+
+    Returns:
+        The PLR, which answers as the one that was written, bit for bit.
+
+    Raises:
+        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
+            beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
+    """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
+    data = bytes(data)
+    return assembled(data, decode(data))
+
+
+def deferred_plr(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold, which are known to be right: its tables are made when they are first used."""
+    plr = object.__new__(PLR)
+    vars(plr).update(file=held(data), _deferred=partial(from_bytes, data))
+    return plr
+
+
+def plr_of_leaves(contents: Contents) -> PLR:
+    """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
+    return assembled(encode(contents), contents)
+
+
+def with_stored(plr: PLR, stored: Any) -> PLR:
+    """A PLR of the same partition and model that stores something else, of which nothing is proven."""
+    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None)).with_label(plr.label)
+
+
+def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
+    """The same PLR with another proof."""
+    return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
+
+
+def folded_points(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
+    """Where points are in the folded domain, in double precision; themselves where nothing is folded.
+
+    Around periodic axes they are not wrapped. What is outside the domain means nothing.
+    """
+    folding = plr.container.folding
+    return np.asarray(x, np.float64) if folding is None else folding(x)
+
+
+def unfolded_points(plr: PLR, z: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:
+    """For each point of the folded domain one that folds there, in the domain if any is."""
+    folding = plr.container.folding
+    return z if folding is None else folding.unfolded(z)
+
+
+def local_coordinates(
+    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
+) -> Float[np.ndarray, "*batch dim"]:
+    """Coordinates of each point, folded, in a given leaf; ``[-1, 1]`` spans it along every axis."""
+    lo, hi = plr.cells.boxes(plr.folded_domain)
+    x = plr.folded_domain.image_near(folded_points(plr, x), (lo + hi)[leaf] / 2)
+    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
+
+
+def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
+    """Index of the leaf that answers for each point."""
+    placed = x if plr._placement is None else plr._placement(x)
+    return np.asarray(find_leaves(plr._placed_tables, placed)).astype(np.int64)

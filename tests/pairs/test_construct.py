@@ -9,7 +9,7 @@ from plr_jax import VisibilityGraph, Workspace, construct_pairs
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.pairs.construct import grow_lists, lattice_step
 from plr_jax.pairs.visible_corners import visible_corners
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits
 
 LIMITS = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, 10_000, None, Proof.NONE, 13)

@@ -8,7 +8,7 @@ from piece_helpers import TEN, WORKSPACES, box
 from plr_jax import Workspace
 from plr_jax.pairs.construct import outline_of
 from plr_jax.pairs.outline import read_outline
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
 
 
 def outline(workspace):

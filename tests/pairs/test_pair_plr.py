@@ -13,7 +13,7 @@ from pair_helpers import MAZE, exact, serpentine, stored_ring, two_batches
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.file.container import Header
+from plr_jax.plr.container import Header
 from plr_jax.plr.partition.cells import levels_of
 
 INSIDE = np.array([0.1, 0.1])

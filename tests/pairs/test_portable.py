@@ -10,7 +10,7 @@ from pair_helpers import MAZE, WALL, exact, two_batches
 from experiments._js_modules import NodeModule
 from plr_jax import Workspace, construct_pairs
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.file.container import Header
+from plr_jax.plr.container import Header
 
 _OF_ROWS = """
 export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));

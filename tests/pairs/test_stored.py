@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import floyd_warshall
 
 from plr_jax import Box
 from plr_jax.pairs.stored import Stored, distances_by_rows
-from plr_jax.plr.file.container import PAIRS_CODE, Container
+from plr_jax.plr.container import PAIRS_CODE, Container
 from plr_jax.plr.partition.cells import Cells
 
 FIELDS = ("corner", "joined", "leaf", "listed", "rounding", "rounding_of_outline", "points")
@@ -96,7 +96,7 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
         check_refused(stored, message, **with_layer(place, body=layers[place].body + bytes(9)))
         check_refused(stored, "proofs", **with_layer(place, proof_code=1))
         for code in (0, (PAIRS_CODE + 1) % 16)[: 2 if place < 2 else 1]:
-            check_refused(stored, "one goal; use load", **with_layer(place, leaf_code=code))
+            check_refused(stored, "one goal; use load|coarser PLRs", **with_layer(place, leaf_code=code))
     for place, number in ((place, number) for place in (0, 1) for number in (np.nan, np.inf, -1.0)):
         body = np.float32(number).tobytes() + layers[place].body[4:]
         check_refused(stored, "its distances err by", **with_layer(place, body=body))

@@ -16,8 +16,8 @@ from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.partition.cells import Cells, Level, levels_of, tree_of, tree_of_levels
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.query.tables import build_tables
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+from plr_jax.plr.tables import build_tables
 
 UNIT = Box([0, 0], [1, 1])
 

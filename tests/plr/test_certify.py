@@ -13,8 +13,8 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
-from plr_jax.plr._assembly import with_certificate, with_stored
-from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr._plr import with_certificate, with_stored
+from plr_jax.plr.certificate import Certificate, Proof
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
 TEN = ((0, 0), (10, 10))
@@ -204,7 +204,7 @@ def test_proofs_end_where_bounds_cannot_get_better(maze, monkeypatch):
     """Then they are as they were found so far, and hold."""
     plr = construct(maze, UNIT, max_leaves=20)
     tight = certify(plr, maze, leaf_bounds=True)
-    monkeypatch.setattr("plr_jax.plr.certificate.bounds._MOST_PIECES", 10)
+    monkeypatch.setattr("plr_jax.plr.certificate._MOST_PIECES", 10)
     loose = certify(plr, maze, leaf_bounds=True)
     assert np.ptp(loose.band, axis=0).sum() > np.ptp(tight.band, axis=0).sum()
     check_bounds(loose, maze)

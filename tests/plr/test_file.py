@@ -24,11 +24,11 @@ from plr_helpers import (
 
 from plr_jax import Box, construct, from_bytes, load, load_numpy, save
 from plr_jax.plr import Plane
-from plr_jax.plr._assembly import plr_of_leaves, with_stored
+from plr_jax.plr import container as container_module
 from plr_jax.plr._file import decode, decode_cells, encode
-from plr_jax.plr.file import container as container_module
-from plr_jax.plr.file.bits import BitWriter, write_tree
-from plr_jax.plr.file.container import Container, Layer
+from plr_jax.plr._plr import plr_of_leaves, with_stored
+from plr_jax.plr.coding import BitWriter, write_tree
+from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane import StoredPlanes
 from plr_jax.plr.partition.cells import Cells, levels_of

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from plr_jax import Box, Dubins, Euclidean, ReedsShepp, certify, construct, refine
-from plr_jax.plr._location import leaf_of
-from plr_jax.plr.file.container import Container
+from plr_jax.plr._plr import leaf_of
+from plr_jax.plr.container import Container
 
 WINDOW = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
 ASIDE = Box((-2, -4, -np.pi), (6, 3, np.pi), periodic=(False, False, True))

@@ -9,7 +9,7 @@ import pytest
 from portable_helpers import case, is_far
 
 from plr_jax import PLR, Box, Euclidean, Workspace, construct, construct_pairs, evaluate, from_bytes, stack
-from plr_jax.plr._location import leaf_of
+from plr_jax.plr._plr import leaf_of
 
 KINDS = (
     "maze of planes",

@@ -11,10 +11,9 @@ from plr_helpers import UNIT, random_contents, walled
 
 from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, certify, construct, from_bytes, refine
 from plr_jax.plr import sample_faces
-from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import encode
-from plr_jax.plr._location import leaf_of
-from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr._plr import leaf_of, plr_of_leaves
+from plr_jax.plr.certificate import Certificate, Proof
 
 PI = np.pi
 PERIOD = np.array([2 * PI, 0.0])

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
 from plr_jax import PLR, Box, construct, save
-from plr_jax.plr._location import leaf_of
-from plr_jax.plr.query.points import evaluate_points
+from plr_jax.plr._plr import leaf_of
+from plr_jax.plr.points import evaluate_points
 
 
 def test_attributes(plr, leaf, x):

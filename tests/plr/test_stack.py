@@ -7,8 +7,8 @@ import pytest
 from plr_helpers import UNIT, walled
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
-from plr_jax.plr.query import points as points_module
-from plr_jax.plr.query import trie
+from plr_jax.plr import _stack as trie
+from plr_jax.plr import points as points_module
 
 ROOM = scenes.maze().workspace
 GOALS = ((0.1, 0.1), (0.3, 0.9), (0.9, 0.6), (0.5, 0.05))

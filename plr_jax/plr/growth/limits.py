@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, require_integer
-from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.bits import body_size
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.coding import body_size
+from plr_jax.plr.frame import byte_class, max_axis_depth, rows_of_class
 from plr_jax.plr.partition.cells import MAX_DEPTH, Cells
-from plr_jax.plr.query.grid import byte_class, max_axis_depth, rows_of_class
 from plr_jax.plr.sampling.cell_fit import CellFit
 
 DEFAULT_MAX_LEAVES = 512

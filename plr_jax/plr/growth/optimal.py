@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Int
 
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth.levels import LEAST_SHARE, LEAST_SHARE_PROVEN, UNKNOWN, BoxLevel, expand, may_halve
 from plr_jax.plr.growth.limits import BudgetTooSmall, Limits
 from plr_jax.plr.partition.cells import MAX_DEPTH, Level

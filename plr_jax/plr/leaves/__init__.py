@@ -1,7 +1,7 @@
 """Leaf models: what function each leaf holds. Their names and the codes of their files stand here, once."""
 
 from plr_jax._arrays import shortened
-from plr_jax.plr.file.container import PAIRS_CODE
+from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.continuous.model import Continuous

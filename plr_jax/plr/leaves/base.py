@@ -12,13 +12,13 @@ from plr_jax._arrays import product_in_order
 from plr_jax._types import CellSources, ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.certificate import LeafBounds
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.frame import Corner, is_far
 from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.partition.cells import Cells, Level, Tree
 from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.query.frame import Corner, is_far
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 
@@ -65,7 +65,7 @@ class LeafModel(ABC):
         name: What ``construct(leaf=...)`` calls it.
         num_samples: Samples of a cell, unless others are asked for.
         least_bytes: Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction.
-        has_deep_trees: Whether small trees are deep, for which a query's tables have pages: see ``query/pages.py``.
+        has_deep_trees: Whether small trees are deep, for which a query's tables have pages: see ``plr/tables.py``.
         is_of_cells: Whether its functions are of the place in a cell, whose own numbers then stand before the others.
             Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
     """

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate.bounds import proven_errors
-from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.bits import BitReader, BitWriter, floats_of_bits
+from plr_jax.plr.certificate import Proof, proven_errors
+from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
+from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
 from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first, largest_error
 from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import (
@@ -25,8 +25,6 @@ from plr_jax.plr.leaves.base import (
     rounded_down,
 )
 from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.query.frame import LARGEST, Corner, table_corners
-from plr_jax.plr.query.grid import MOST_ROWS
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
 # Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.

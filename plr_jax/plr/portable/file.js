@@ -1,5 +1,5 @@
-// Reads files of PLRs as plr_jax/plr/file/container.py says, of those in the plane whose leaves are cones all of it.
-// What is wrong with one is an Error, in words. It needs f and beside of module.py.
+// Reads files of PLRs as plr_jax/plr/container.py says, of those in the plane whose leaves are cones all of it.
+// What is wrong with one is an Error, in words. It needs f and beside of javascript.py.
 
 const fail = what => { throw new Error(what); };
 const EARLY = "the data end too early", LARGEST = 1e30, PAIRS = 7, CONE = 3;
@@ -180,7 +180,7 @@ function readTree(body) {
     return { tree, root: code(0), leaves, levels, child, index };
 }
 
-// A domain as queries know it, in 32-bit floats: see plr_jax/plr/query/frame.py. It is counted from an origin.
+// A domain as queries know it, in 32-bit floats: see plr_jax/plr/frame.py. It is counted from an origin.
 function outward(x, isAbove) { const near = f(x); return (isAbove ? near < x : near > x) ? beside(near, isAbove) : near; }
 function frameOf(lo, hi) {
     const frame = { lo: [], hi: [], scale: [], start: [], top: [] };

@@ -13,8 +13,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_finite, as_number, require_integer
 from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax.plr._location import local_coordinates, unfolded_points
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, local_coordinates, unfolded_points
 from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.partition.cells import tree_of
 from plr_jax.plr.partition.faces import face_points, shared_faces

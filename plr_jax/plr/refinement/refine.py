@@ -11,9 +11,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened, with_inf_for_masked
 from plr_jax._types import ArrayLike, Distances, Points
-from plr_jax.plr._assembly import with_stored
-from plr_jax.plr._location import leaf_of
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, leaf_of, with_stored
 from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.refinement.objective import Faces, Loss, Penalty, minimize, squared
 from plr_jax.plr.refinement.scaled_problem import WeightedPoints, pose

@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
-from plr_jax.plr._location import leaf_of, local_coordinates
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, leaf_of, local_coordinates
 from plr_jax.plr.leaves.base import LinearLeafModel, Parameters, as_linear, linear_mean_planes
 from plr_jax.plr.leaves.sparse_squares import solve_sparse, weighted_squares
 from plr_jax.plr.refinement.objective import Objective

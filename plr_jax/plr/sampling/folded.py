@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._types import DistanceFn, Distances, Points
-from plr_jax.plr.folding.folding import Folding
+from plr_jax.plr.folding import Folding
 from plr_jax.plr.sampling.cell_fit import WeightFn, call_oracle, call_weights
 
 

@@ -3,9 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.certificate import Certificate, LeafBounds, Proof, read_certificate
+from plr_jax.plr.coding import BitReader, BitWriter
 
 PROOFS = st.sampled_from([Proof.CLASSES, Proof.LEAVES, Proof.OPEN_LEAVES])
 

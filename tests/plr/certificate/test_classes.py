@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.plr.certificate.bounds import LeafBounds
-from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
-from plr_jax.plr.certificate.classes import in_classes, read_classes, write_classes
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.certificate import (
+    Certificate,
+    LeafBounds,
+    Proof,
+    in_classes,
+    read_certificate,
+    read_classes,
+    write_classes,
+)
+from plr_jax.plr.coding import BitReader, BitWriter
 
 FACTOR = 2.0 ** ((np.arange(256) - 255) / 12)
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import chain, random_partition, three_leaves
 
-from plr_jax.plr.file.bits import BitReader, BitWriter, body_size, read_tree, write_tree
+from plr_jax.plr.coding import BitReader, BitWriter, body_size, read_tree, write_tree
 from plr_jax.plr.partition.cells import levels_of, tree_of_levels
 
 QUICK = settings(max_examples=30)

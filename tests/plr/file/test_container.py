@@ -11,10 +11,10 @@ from plr_helpers import assert_refused_for_little, sealed
 
 from plr_jax import ReedsShepp
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file import container as container_module
-from plr_jax.plr.file.container import MOST_AXES, MOST_LABEL_BYTES, PAIRS_CODE, Container, Header, Layer, frame_size
-from plr_jax.plr.file.domain import varint
-from plr_jax.plr.folding.choice import folding_of
+from plr_jax.plr import container as container_module
+from plr_jax.plr.coding import varint
+from plr_jax.plr.container import MOST_AXES, MOST_LABEL_BYTES, PAIRS_CODE, Container, Header, Layer, frame_size
+from plr_jax.plr.folding import folding_of
 
 DOMAIN = Box((-1, 0), (1, 3))
 CORNERS = bytes([0, 1, 0, 2, 6])  # no decimals; -1, 0, 1 and 3 with the sign as the lowest bit

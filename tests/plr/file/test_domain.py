@@ -9,8 +9,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.container import frame_size
-from plr_jax.plr.file.domain import ByteReader, domain_to_bytes, read_domain, signed_varint, varint
+from plr_jax.plr.coding import ByteReader, signed_varint, varint
+from plr_jax.plr.container import domain_to_bytes, frame_size, read_domain
 
 DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
 DECIMALS = st.builds(lambda digits, places: digits / 10**places, st.integers(-(10**7), 10**7), st.integers(0, 6))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import plr_jax
 from plr_jax._arrays import padded_size
-from plr_jax.plr.file import held as held_module
+from plr_jax.plr import container as held_module
 
 
 @pytest.fixture(scope="module", params=["one goal", "pairs"])

@@ -10,8 +10,9 @@ from plr_helpers import sealed
 
 from plr_jax import Box, Dubins, Euclidean, ReedsShepp, construct, from_bytes
 from plr_jax._types import Symmetry
-from plr_jax.plr.file.domain import ByteReader, folding_to_bytes, read_folding
-from plr_jax.plr.folding.choice import folding_of
+from plr_jax.plr.coding import ByteReader
+from plr_jax.plr.container import folding_to_bytes, read_folding
+from plr_jax.plr.folding import folding_of
 
 WINDOW = Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
 SQUARE, FOUR = Box((-1, -1), (1, 1)), Box((0, 0), (4, 4))

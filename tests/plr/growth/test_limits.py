@@ -7,7 +7,7 @@ import pytest
 from plr_helpers import UNIT, cone, sampler_of, walled
 
 from plr_jax.plr import ConstructionInterrupted, construct
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import limits as growth
 from plr_jax.plr.partition.cells import Cells
 

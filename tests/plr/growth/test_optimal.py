@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import levels
 from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits, grow

@@ -7,8 +7,8 @@ import pytest
 from plr_helpers import random_contents
 
 from plr_jax.plr import Continuous, Plane
-from plr_jax.plr._assembly import plr_of_leaves
-from plr_jax.plr.file.bits import BitWriter
+from plr_jax.plr._plr import plr_of_leaves
+from plr_jax.plr.coding import BitWriter
 from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_of_code
 from plr_jax.plr.leaves.base import linear_mean_planes, rounded_down
 from plr_jax.plr.leaves.cone.model import Cone

@@ -10,7 +10,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 
 from plr_jax import Box
 from plr_jax.plr import Plane, construct
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
     StoredPlanes,

@@ -12,7 +12,7 @@ from vectors import FOLDER, read_vector, vector_names
 
 from plr_jax import Box, construct, load, load_numpy
 from plr_jax.plr._file import decode, encode
-from plr_jax.plr.portable.leaf_table import LeafTable
+from plr_jax.plr.portable.numpy import LeafTable
 
 
 @pytest.fixture(params=CASES)
@@ -144,7 +144,7 @@ def test_points_come_in_any_shape_and_type(monkeypatch):
         assert same_bits(f(half), f(np.asarray(half, np.float32)))
     assert f([0, 1]) == f(np.array([0, 1])) == f((0.0, 1.0))
     assert np.isnan(f(np.ma.masked_array([[0.5, 0.5]], [[True, False]]))).all()
-    monkeypatch.setattr("plr_jax.plr.portable.evaluator._CHUNK", 7)
+    monkeypatch.setattr("plr_jax.plr.portable.numpy._CHUNK", 7)
     assert same_bits(f(x), expected)
 
 
@@ -152,7 +152,7 @@ def test_points_come_in_any_shape_and_type(monkeypatch):
 def test_the_table_may_be_as_small_as_one_likes(bits, monkeypatch):
     one = case("one leaf").numpy()._table
     assert isinstance(one, LeafTable) and one.is_flat and len(one.table) == 1
-    monkeypatch.setattr("plr_jax.plr.portable.leaf_table._MOST_BITS", bits)
+    monkeypatch.setattr("plr_jax.plr.portable.numpy._MOST_BITS", bits)
     for name in ("deep", "random planes", "maze of values"):
         plr, x = case(name), hard_points(case(name), 60)
         f = plr.numpy()

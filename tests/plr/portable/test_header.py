@@ -10,7 +10,7 @@ import pytest
 from portable_helpers import case, hard_points, is_far, same_bits
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes
-from plr_jax.plr.portable.header import CWriter
+from plr_jax.plr.portable.c import CWriter
 
 MOST_CODE = 2048  # bytes
 

@@ -10,7 +10,7 @@ from vectors import read_vector, vector_names
 
 from experiments._js_modules import NodeModule
 from plr_jax import load
-from plr_jax.plr.portable.module import JavaScriptWriter, js_cone_reader, js_file_reader, single
+from plr_jax.plr.portable.javascript import JavaScriptWriter, js_cone_reader, js_file_reader, single
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -9,10 +9,10 @@ from plr_helpers import tables_of_numbers as tables_of
 
 from plr_jax import VisibilityGraph, construct, scenes
 from plr_jax.plr import Plane
-from plr_jax.plr._location import leaf_of
-from plr_jax.plr.query import lookup as lookup_module
-from plr_jax.plr.query import tables as tables_module
-from plr_jax.plr.query.tables import build_tables
+from plr_jax.plr import query as lookup_module
+from plr_jax.plr import tables as tables_module
+from plr_jax.plr._plr import leaf_of
+from plr_jax.plr.tables import build_tables
 
 # Compiled: operation by operation each shape would be compiled for each of them.
 lookup, evaluate_tables, outside_domain = map(

@@ -10,10 +10,9 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 
 from plr_jax import Box
 from plr_jax.plr import Plane
+from plr_jax.plr import query as lookup_module
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query import lookup as lookup_module
-from plr_jax.plr.query.pages import _place_pages, build_pages
-from plr_jax.plr.query.tables import build_tables
+from plr_jax.plr.tables import _place_pages, build_pages, build_tables
 
 lookup, evaluate_tables = map(jax.jit, (lookup_module.lookup, lookup_module.evaluate_tables))
 

@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from plr_helpers import chain, leaf_by_position, random_partition, tables_of_numbers
 
+from plr_jax.plr import query as lookup
+from plr_jax.plr._stack import build_trie, can_be_in_trie, trie_levels
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query import lookup
-from plr_jax.plr.query.trie import build_trie, can_be_in_trie, trie_levels
 
 find_row = jax.jit(lookup.find_row)
 POINTS = 600

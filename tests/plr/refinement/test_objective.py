@@ -5,7 +5,7 @@ from plr_helpers import UNIT, cone, leaf_by_search, points, quarters_in_another_
 
 from plr_jax import construct, refine
 from plr_jax.plr import Plane, eikonal, jumps, quantile, sample_faces, squared
-from plr_jax.plr._assembly import plr_of_leaves
+from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.partition.cells import tree_of
 from plr_jax.plr.partition.faces import shared_faces
 from plr_jax.plr.refinement.objective import Quantile

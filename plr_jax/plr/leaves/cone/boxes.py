@@ -10,7 +10,7 @@ from plr_jax._arrays import run_members
 from plr_jax._types import CellSources, FamilyCellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.plr.certificate.bounds import bounds_of_pieces
+from plr_jax.plr.certificate import bounds_of_pieces
 from plr_jax.plr.partition.cells import Cells
 
 _MOST_OPTIONS = 4

@@ -24,7 +24,7 @@ Coordinates of some sources, which are sorted by them:
     along the first axis by how much each is above the one before, as codes
     along every other axis: a width in 6 bits, and in so many bits how much each is above the smallest
 
-Signed numbers and codes are as in ``file/bits.py``.
+Signed numbers and codes are as in ``plr/coding.py``.
 """
 
 from dataclasses import dataclass
@@ -36,10 +36,10 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import sum_of_columns
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.query.frame import LARGEST
 
 STEP_BITS, _COUNT_BITS, _WIDTH_BITS, EXPONENT_BIAS = 16, 20, 6, 1 << 15
 _MOST_COORDINATE_BITS, LARGEST_EXPONENT = 40, 200

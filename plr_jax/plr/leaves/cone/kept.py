@@ -16,7 +16,7 @@ from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
 from plr_jax.geometry.convex_pieces import boxes_as_pieces, difference_of_cones
-from plr_jax.plr.certificate.bounds import LeafBounds
+from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.leaves.cone.codec import StoredCones
 from plr_jax.plr.partition.cells import Tree
 

@@ -12,7 +12,8 @@ from plr_jax._arrays import shortened
 from plr_jax._types import ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.limits import Limits, grow
 from plr_jax.plr.leaves.base import (
@@ -29,7 +30,6 @@ from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones,
 from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.updated import updated_cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 _UNDERFLOW = 1.1e-19

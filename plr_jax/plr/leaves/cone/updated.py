@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import CellSources, ChangingFn
 from plr_jax.geometry.changed_distances import ChangedDistances
-from plr_jax.plr.certificate.bounds import LeafBounds
+from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.growth.levels import LEAST_SHARE_PROVEN, BoxLevel, expand
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import OwnBoxes, best_axes

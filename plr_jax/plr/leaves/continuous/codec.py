@@ -9,7 +9,7 @@ As bits:
 
 A value is ``offset + step * code``; masters, their order and their levels follow from the tree and the ties (see
 ``space.py``). What is stored of a code is by how much it differs from the rounded prediction from coarser ones: for
-smooth functions a few bits. Sets, Exp-Golomb codes and those of signed numbers are as in ``file/bits.py``.
+smooth functions a few bits. Sets, Exp-Golomb codes and those of signed numbers are as in ``plr/coding.py``.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import product_in_order
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.leaves.continuous.space import NodalSpace, monomials, nodal_space
 from plr_jax.plr.partition.cells import Cells, Tree, tree_of
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
-from plr_jax.plr.query.frame import LARGEST
 
 # Leaves as polynomials of the place in their cells.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr.file.bits import BitWriter
+from plr_jax.plr.coding import BitWriter
 from plr_jax.plr.growth.limits import Limits, check_memory, check_rules, grow, is_open, least_priority
 from plr_jax.plr.leaves.base import Rules
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.frame import Corner
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
@@ -40,7 +41,6 @@ from plr_jax.plr.leaves.continuous.space import (
 )
 from plr_jax.plr.partition.cells import Cells, Tree
 from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.query.frame import Corner
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 _MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plr_jax import Box
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves.cone.codec import (
     StoredCones,
     StoredSources,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plr_jax import VisibilityGraph, Workspace, scenes
-from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth.levels import MAX_ASPECT_BITS
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.optimal import PriceSearch, Thrift

@@ -11,7 +11,7 @@ from plr_helpers import UNIT, leaf_by_search, points
 
 from plr_jax import Box, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
 from plr_jax.plr import construct, from_bytes
-from plr_jax.plr._location import leaf_of
+from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone import best
 

@@ -11,7 +11,7 @@ from plr_helpers import random_contents, three_leaves
 from plr_jax import Box
 from plr_jax.plr import Continuous
 from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr.file.container import Container
+from plr_jax.plr.container import Container
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
 from plr_jax.plr.partition.cells import levels_of, tree_of
 from plr_jax.plr.partition.faces import shared_faces

@@ -9,12 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.query.folded import FoldedWindow
-from plr_jax.plr.query.frame import Frame, Outside, require_resolved
-from plr_jax.plr.query.pages import index_in_block
-from plr_jax.plr.query.reads import Picked, gather, rounded, shift_right
-from plr_jax.plr.query.tables import Tables
-from plr_jax.plr.query.trie import Trie
+from plr_jax.plr.frame import Frame, Outside, require_resolved
+from plr_jax.plr.tables import FoldedWindow, Picked, Tables, Trie, gather, index_in_block, rounded, shift_right
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 _ENDS_IN_DOUBLE = 2.0**-44

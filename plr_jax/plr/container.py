@@ -1,23 +1,23 @@
 r"""The container of a PLR file: a header, layers of bits that each begin with a tree, and checksums.
 
-Layout of version 5, with numbers as in ``domain.py`` (:func:`varint`):
+Layout of version 5, with numbers as :func:`varint` writes them:
 
     2s      magic, b"P\xb5"
     u8      low four bits: version; high four: number of axes, 0 for more than 15
     u8      three bits: code of the leaf model; 7 for distances of pairs of points (see ``pairs/stored.py``)
-            two bits: what it keeps of a proof (see ``plr/certificate/certificate.py``)
+            two bits: what it keeps of a proof (see ``plr/certificate.py``)
             one bit: are points folded?
             one bit: is there a label, or are there several layers?
             one bit: is the domain kept in floats?
     ...     number of axes, if there are more than 15
-    ...     the domain (see ``domain.py``)
-    ...     how points are folded, if they are (see ``plr/file/domain.py``); leaves are then of the box of those
+    ...     the domain (see ``domain_to_bytes``)
+    ...     how points are folded, if they are (see ``folding_to_bytes``); leaves are then of the box of those
     ...     the label, if that bit is set: its length in bytes, and it in UTF-8; then the number of layers but the
             last one, and of each its size in bytes
     ...     layers. Each but the last one begins with
       u8      the code of its leaf model, and four bits left of it, what it keeps of a proof
             and all have a bit stream, least significant bit first, the last byte filled up with zeros:
-              the tree over the leaves, whose boxes follow from the splits (see ``write_tree`` in ``bits.py``)
+              the tree over the leaves, whose boxes follow from the splits (see ``write_tree`` in ``coding.py``)
               what the leaf model keeps of the leaves (see ``leaves/plane.py`` and the ``codec.py`` of the
                 others), in the order of the tree's traversal, lower half first
               what it keeps of a proof
@@ -30,14 +30,19 @@ before: a file that is cut off behind one of them, at a *mark*, is one of the sa
 import os
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from decimal import Context, Decimal
 from functools import cached_property
 from itertools import accumulate
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from plr_jax._arrays import shortened
+import numpy as np
+from jaxtyping import Bool
+
+from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.domain import ByteReader, domain_to_bytes, folding_to_bytes, read_domain, read_folding, varint
-from plr_jax.plr.folding.folding import Folding
+from plr_jax.plr.coding import ByteReader, signed_varint, varint
+from plr_jax.plr.folding import Folding
 
 VERSION = 5
 PAIRS_CODE = 7
@@ -240,3 +245,200 @@ def read_bytes(path: str | os.PathLike) -> bytes:
         if data.startswith((MAGIC, GRID_MAGIC)):  # or there is nothing to read for, and it may not end
             data += file.read(MOST_BYTES + 1 - len(data))
         return data
+
+
+# Integers of whole bytes, which the header of a PLR file is made of.
+
+
+# What a file keeps of a folding, after the domain: floats little-endian.
+#
+# f64     the center, one number an axis
+# u8      1 if folded coordinates run along axes of their own, else 0
+# f64     of such the axes, row by row
+# u8      number of mirrors
+# u8      for each mirror one number an axis, 1 if it is reversed, else 0; then zeros, one an axis
+
+
+_ORTHOGONAL = 1e-9
+
+
+def folding_to_bytes(folding: Folding) -> bytes:
+    """What the file keeps."""
+    marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
+    axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
+    return b"".join(
+        [
+            folding.center.astype("<f8").tobytes(),
+            bytes([folding.is_turned]),
+            axes,
+            bytes([len(folding.mirrors)]),
+            marks.tobytes(),
+        ]
+    )
+
+
+def read_folding(reader: ByteReader, domain: Box) -> Folding:
+    """The next folding; raises ``ValueError`` saying what is wrong with it."""
+    dim = domain.dim
+    center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
+    axes = np.eye(dim)
+    if _flags(reader.take(1))[0]:
+        axes = np.frombuffer(reader.take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim)
+    marks = _flags(reader.take(dim * (reader.byte() + 1))).reshape(-1, dim)
+    mirrors = tuple(tuple(map(bool, row)) for row in marks[:-1])
+    if marks[-1].any():
+        raise ValueError(
+            "it stores what a distance is more than a straight line, which plr_jax 0.1 reads; build it again"
+        )
+    folding = Folding(domain, center, axes, mirrors)
+    _check(folding)
+    return folding
+
+
+def _flags(data: bytes) -> Bool[np.ndarray, "n"]:
+    numbers = np.frombuffer(data, np.uint8)
+    if (numbers > 1).any():
+        raise ValueError(f"its folding has a mark of {numbers.max()}, which is 0 or 1")
+    return numbers == 1
+
+
+def _check(folding: Folding) -> None:
+    axes, periodic = folding.axes, np.array(folding.domain.periodic)
+    if not (np.isfinite(folding.center).all() and np.isfinite(axes).all()):
+        raise ValueError("its folding has numbers that are not finite")
+    unit = np.eye(len(axes))
+    if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
+        raise ValueError("the axes of its folding are not orthogonal, or turn a periodic one")
+    if not folding.mirrors:
+        raise ValueError("its folding folds nothing")
+    if folding.cutting != folding.mirrors:
+        raise ValueError("its folding has a mirror that does not cut the domain")
+
+
+# The domain as a file keeps it. Most maps have corners of few decimals, so it is multiples of a power of ten, or else
+# 64-bit floats:
+#
+#     of decimals  u8      how many: a number is an integer divided by 10 to their power, rounded as floats are
+#                  ...     signed numbers, those integers: the lower corner, one an axis, then the upper corner
+#     of floats    f64     the same corners, little-endian
+#
+# Of each periodic axis the two ends are exchanged: the upper one comes first.
+
+
+_MOST_DECIMALS = 22  # powers of ten up to this one, and integers below the next, are exact in 64 bits
+_LARGEST = 2**53
+_EXACT = Context(prec=40, traps=[])  # whatever the caller has set: numbers have at most 17 digits
+
+
+def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
+    """What the file keeps, and whether that is floats."""
+    first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
+    numbers = np.concatenate([first, second])
+    floats, decimals = numbers.astype("<f8").tobytes(), _decimals(numbers.tolist())
+    return (floats, True) if decimals is None or len(decimals) > len(floats) else (decimals, False)
+
+
+def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
+    """The next domain; raises ``ValueError`` saying what is wrong with it."""
+    if is_floats:
+        numbers = np.frombuffer(reader.take(16 * dim), "<f8").astype(np.float64)
+    else:
+        if (decimals := reader.byte()) > _MOST_DECIMALS:
+            raise ValueError(f"its domain has numbers of {decimals} decimals, more than {_MOST_DECIMALS}")
+        integers = [reader.signed_varint() for _ in range(2 * dim)]
+        if max(map(abs, integers)) > _LARGEST:
+            raise ValueError("its domain has numbers that are too large")
+        numbers = np.array(integers, np.float64) / float(10**decimals)
+    corners = numbers.reshape(2, dim)
+    periodic = corners[0] > corners[1]
+    lo, hi = np.where(periodic, corners[::-1], corners)
+    return Box(lo, hi, tuple(map(bool, periodic)))
+
+
+def _decimals(numbers: list[float]) -> bytes | None:
+    """The numbers as integers over one power of ten; None where that is not exact."""
+    shortest = [Decimal(repr(number)) for number in numbers]
+    decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
+    integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
+    if decimals > _MOST_DECIMALS or max(map(abs, integers)) > _LARGEST:
+        return None
+    # A zero may be negative, which no integer is; a box does not tell them apart.
+    if [integer / float(10**decimals) for integer in integers] != numbers:
+        return None
+    return bytes([decimals]) + b"".join(map(signed_varint, integers))
+
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, UInt8
+
+Held = TypeVar("Held", bound="HeldFile")
+_SIZE_BYTES = 4
+
+
+class HeldFile:
+    """Its bytes, and how much memory the tables take."""
+
+    if TYPE_CHECKING:
+        tables: Any
+        file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
+        if np.ndim(self.file) != 1:
+            raise ValueError(f"Bytes are those of one, but these arrays are those of several: {self.file.shape}.")
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file."""
+        return int.from_bytes(np.asarray(self.file)[-_SIZE_BYTES:].tobytes(), "little")
+
+    @property
+    def file_marks(self) -> tuple[int, ...]:
+        """Where a file of pairs may be cut off, in bytes from its start, to be one of the same pairs; none of a PLR.
+
+        Of a file that was cut off at a mark, those before it.
+        """
+        return tuple(mark for mark in Header.read(self.to_bytes()).marks if mark < self.num_bytes)
+
+    @property
+    def label(self) -> str:
+        """What the file says of itself: which map, which goal. Empty if it says nothing.
+
+        Any text that who wrote the file chose; it may hold control characters, which a terminal obeys.
+        """
+        return Header.read(self.to_bytes()).label
+
+    def with_label(self: Held, label: str) -> Held:
+        """The same with another label.
+
+        Args:
+            label: Any text of up to 1,000 bytes in UTF-8, which the file then takes more.
+
+        Returns:
+            What answers alike, bit for bit.
+
+        Raises:
+            ValueError: If it is no text, or longer.
+        """
+        require_label(label)
+        if label == self.label:
+            return self
+        data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
+        labeled = replace(cast(Any, self), file=held(data))
+        vars(labeled).update({name: each for name, each in vars(self).items() if name == "_origin"})
+        return labeled
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        import jax  # which no file needs
+
+        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
+
+
+def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":
+    """Bytes of a file as an array of one of few sizes: padded with zeros, and last of all how many they are."""
+    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
+    file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
+    return file

@@ -2,26 +2,150 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from math import floor, sqrt
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.container import read_bytes
+from plr_jax.plr.container import read_bytes
+from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
 from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.portable.arithmetic import total
-from plr_jax.plr.portable.header import CHeader
-from plr_jax.plr.portable.leaf_table import LeafTable
-from plr_jax.plr.portable.module import js_module
-from plr_jax.plr.portable.program import Program
-from plr_jax.plr.portable.text import PythonWriter
-from plr_jax.plr.query.frame import Outside, as_outside
-from plr_jax.plr.query.grid import FRACTION_BITS
+from plr_jax.plr.portable.arithmetic import CodedTree, Program, total
+from plr_jax.plr.portable.c import CHeader
+from plr_jax.plr.portable.javascript import js_module
+from plr_jax.plr.portable.writers import Text, Writer
+
+
+class PythonWriter(Writer):
+    """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
+
+    conjunction, conditional = "and", "({1} if {0} else {2})"
+    root_of, cast = "float32(sqrt({}))", "float32({})"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.constants: dict[str, Any] = {}
+
+    def literal(self, number: np.floating) -> str:
+        """The name of a constant."""
+        name = f"k{len(self.constants)}"
+        self.constants[name] = number
+        return name
+
+    def definition(self, name: str, value: Text) -> str:
+        """An assignment."""
+        return f"{name} = {value}"
+
+    def floor(self, x: Text) -> Text:
+        """The floor as a scalar of the same type."""
+        return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
+
+    def fraction(self, x: Text) -> Text:
+        """The product is exact."""
+        return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
+
+
+_MOST_BITS = 16  # of the table, which then fits a core's second-level cache
+
+
+@dataclass(frozen=True, eq=False)
+class LeafTable:
+    """A table of nodes, one for each cell of a grid, and the tree below them.
+
+    Attributes:
+        tree: The tree.
+        bits: Of a place along each axis, that tell cells of the grid apart.
+        table: Code of the node that holds each cell, the deepest one.
+        children: Of the tree's split nodes, side by side, in the type of the table.
+    """
+
+    tree: CodedTree
+    bits: tuple[int, ...]
+    table: Integer[np.ndarray, "cells"]
+    children: Integer[np.ndarray, "children"]
+
+    @staticmethod
+    def of(tree: CodedTree) -> "LeafTable":
+        """Of a tree."""
+        deepest = np.zeros(tree.dim, np.int64)
+        np.maximum.at(deepest, tree.axis, tree.depth + 1)
+        bits = spread_bits(deepest, _MOST_BITS)
+        cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
+        code = np.full(cell.shape[1], tree.root)
+        moving = np.arange(len(code))
+        while len(moving):
+            node = code[moving] >> tree.kind_bits
+            is_split = code[moving] & ((1 << tree.kind_bits) - 1) < tree.dim
+            below = np.zeros(len(moving), np.int64)
+            below[is_split] = (bits[tree.axis] - 1 - tree.depth)[node[is_split]]
+            moves = is_split & (below >= 0)
+            moving, node, below = moving[moves], node[moves], below[moves]
+            code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
+        table, children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
+        return LeafTable(tree, tuple(bits.tolist()), table, children)
+
+    @property
+    def _kind(self) -> int:
+        return (1 << self.tree.kind_bits) - 1
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the table knows every leaf."""
+        return bool((self.table & self._kind == self.tree.dim).all())
+
+    @cached_property
+    def codes(self) -> memoryview:
+        """The table, whose entries are then integers of Python."""
+        return self.table.data
+
+    @cached_property
+    def _child_codes(self) -> memoryview:
+        return self.children.data
+
+    @cached_property
+    def _depth(self) -> memoryview:
+        return self.tree.depth.data
+
+    def index_text(self, places: list[str]) -> str:
+        """The row of numbers for places, of 23 bits each, as text of Python."""
+        shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, self.bits, strict=True)]
+        index = shifted[0]
+        for along, bits in zip(shifted[1:], self.bits[1:], strict=True):
+            index = f"({index}) << {bits} | {along}"
+        if self.is_flat:
+            return f"codes[{index}] >> {self.tree.kind_bits}"
+        return f"descend(codes[{index}], ({', '.join(places)},))"
+
+    def row(self, code: int, places: tuple[int, ...]) -> int:
+        """The row of numbers for one place, below the node of that code."""
+        kind_bits = self.tree.kind_bits
+        while (axis := code & self._kind) != self.tree.dim:
+            node = code >> kind_bits
+            code = self._child_codes[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - self._depth[node])) & 1)]
+        return code >> kind_bits
+
+    def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
+        """The row of numbers for each place."""
+        index = places[0] >> (FRACTION_BITS - self.bits[0])
+        for place, bits in zip(places[1:], self.bits[1:], strict=True):
+            index = (index << bits) | (place >> (FRACTION_BITS - bits))
+        code = self.table[index]
+        moving = np.flatnonzero(code & self._kind != self.tree.dim)
+        while len(moving):
+            node = code[moving] >> self.tree.kind_bits
+            axis = self.tree.axis[node]
+            place = np.choose(axis, [along[moving] for along in places])
+            bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
+            code[moving] = self.children[2 * node + bit]
+            moving = moving[code[moving] & self._kind != self.tree.dim]
+        return code >> self.tree.kind_bits
+
 
 # A query of a single point in Python: the arithmetic of the format, written out for one PLR.
 #

@@ -13,10 +13,8 @@ from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.portable.arithmetic import Operations, PartitionedAxis, Point, Value, Window
-from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented
-from plr_jax.plr.portable.program import Program
-from plr_jax.plr.portable.text import BracedWriter, Text
+from plr_jax.plr.portable.arithmetic import Operations, PartitionedAxis, Point, Program, Value, Window
+from plr_jax.plr.portable.writers import BracedWriter, Code, Text, ends_of, filled_lines, indented
 
 
 class JavaScriptWriter(BracedWriter):

@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 from plr_jax._arrays import as_queries, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.query.frame import Outside
-from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.frame import Outside
+from plr_jax.plr.query import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
+from plr_jax.plr.tables import Tables
 
 find_leaves = jax.jit(lookup)
 """The leaf of each point, as its index."""

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from plr_jax.plr.portable.code import Code, ends_of, filled_lines, indented, require_identifier
-from plr_jax.plr.portable.program import Program
-from plr_jax.plr.portable.text import BracedWriter, Text
+from plr_jax.plr.portable.arithmetic import Program
+from plr_jax.plr.portable.writers import BracedWriter, Code, Text, ends_of, filled_lines, indented, require_identifier
 
 
 class CWriter(BracedWriter):

@@ -1,1 +1,0 @@
-"""From a point to its leaf by arithmetic, and to a value."""
