@@ -11,7 +11,7 @@ from hostile_readers import READERS, Reader, corridor
 from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
-from plr_jax import Euclidean, PairPLR, VisibilityGraph, construct, construct_pairs, plot, progressive, scenes
+from plr_jax import Euclidean, PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
 
 PROBLEM = scenes.maze()
@@ -20,7 +20,7 @@ WORKSPACE, GOAL = PROBLEM.workspace, PROBLEM.goals[0]
 
 @pytest.fixture(scope="module")
 def held():
-    """What pages show: PLRs of cones, of planes, of several sizes, and pairs."""
+    """What pages show: PLRs of cones, of planes, and pairs."""
     oracle = VisibilityGraph(WORKSPACE, GOAL)
 
     def plr(leaf, max_bytes):
@@ -31,8 +31,6 @@ def held():
         "cones": cones,
         "planes": plr("plane", 2048),
         "smooth": plr("smooth", 400),
-        "several": progressive([plr("cone", 200), plr("cone", 400), cones]),
-        "several kinds": progressive([plr("plane", 300), plr("cone", 400)]),
         "one leaf": construct(oracle, WORKSPACE.bounds, max_leaves=1),
         "pairs": construct_pairs(WORKSPACE, max_bytes=600),
     }
@@ -114,7 +112,7 @@ def numbers(browser, script):
     return np.array([float(text.replace("Infinity", "inf")) for text in texts])
 
 
-@pytest.mark.parametrize("name", ["cones", "planes", "smooth", "several", "several kinds", "one leaf", "pairs"])
+@pytest.mark.parametrize("name", ["cones", "planes", "smooth", "one leaf", "pairs"])
 def test_answers_are_those_of_numpy_at_ten_thousand_points(name, held, browser, tmp_path):
     each = held[name]
     opened(browser, page_of(each), tmp_path)
@@ -211,17 +209,6 @@ def test_either_end_of_pairs_is_dragged(held, browser, tmp_path):
     assert apart.max() < 0.02 and np.median(apart) < 1e-6
 
 
-def test_the_slider_goes_through_prefixes_and_what_each_proves(held, browser, tmp_path):
-    opened(browser, page_of(held["several"]), tmp_path)
-    sizes = [*held["several"].file_marks, held["several"].num_bytes]
-    for layer, size in enumerate(sizes):
-        browser.run(f'byId("layer").value = {layer}; byId("layer").dispatchEvent(new Event("input"))')
-        says = browser.run('byId("layer-says").value')
-        assert says.startswith(f"{size:,} bytes: no error above ") and says.endswith("proven")
-    opened(browser, page_of(held["cones"]), tmp_path)
-    assert browser.run('byId("layers").hidden')
-
-
 def test_pictures_are_those_of_the_theme_and_have_the_colors_of_distances(held, browser, tmp_path):
     page = page_of(held["cones"])
     backgrounds = []
@@ -248,7 +235,7 @@ def test_another_file_is_opened_where_one_is_given(held, browser, tmp_path):
     opened(browser, page_of(held["cones"]), tmp_path)
     document = browser.call("DOM.getDocument")["root"]["nodeId"]
     field = browser.call("DOM.querySelector", nodeId=document, selector="#file")["nodeId"]
-    for name, says in (("pairs", "corners"), ("several", "cones"), ("planes", "cones")):
+    for name, says in (("pairs", "corners"), ("cones", "cones"), ("planes", "cones")):
         (tmp_path / f"{name}.plr").write_bytes(held[name].to_bytes())
         browser.call("DOM.setFileInputFiles", nodeId=field, files=[str(tmp_path / f"{name}.plr")])
         browser.wait(f'opened.title === "{name}.plr" || !byId("error").hidden')
@@ -256,11 +243,11 @@ def test_another_file_is_opened_where_one_is_given(held, browser, tmp_path):
         assert browser.run('byId("error").hidden') == (name != "planes")
     said = "planes.plr cannot be shown: it holds planes, which this page does not read: plr-jax view makes"
     assert browser.run('byId("error").textContent').startswith(said)
-    assert browser.run("opened.title") == "several.plr" and not browser.errors
+    assert browser.run("opened.title") == "cones.plr" and not browser.errors
 
 
 def test_damaged_files_are_refused_in_words_and_what_was_shown_stays(held, browser, tmp_path):
-    valid = [held[name].to_bytes() for name in ("cones", "several", "pairs", "planes")]
+    valid = [held[name].to_bytes() for name in ("cones", "pairs", "planes")]
     reader = Reader(lambda path: None, ".plr", lambda: valid, READERS["PLR"].repaired)
     opened(browser, page_of(held["cones"]), tmp_path)
     shown = 0
@@ -280,7 +267,7 @@ def test_an_accessibility_check_finds_nothing(held, browser, tmp_path):
         pytest.skip("accessibility is checked where npm has installed axe-core globally")
     for theme in ("light", "dark"):
         browser.prefer(prefers_color_scheme=theme)
-        for name in ("cones", "several", "pairs"):
+        for name in ("cones", "pairs"):
             opened(browser, page_of(held[name]), tmp_path)
             browser.run('document.querySelector("details").open = true')
             browser.run(axe + "; 0")
