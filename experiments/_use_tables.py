@@ -166,21 +166,6 @@ def placement(results: dict[str, Any]) -> str:
     )
 
 
-def refinement(results: dict[str, Any]) -> str:
-    """What losses and penalties make of the planes of one partition."""
-    largest = max(row["budget"] for row in results["rows"])
-    table = formatted(
-        (row for row in results["rows"] if row["scene"] == "maze" and row["budget"] == largest),
-        *(("planes", "{planes}"), ("mean error", "{mean:.2g}"), ("largest", "{max:.2g}")),
-        *(("too long in", "{over:.2%}"), ("too long by at most", "{max_over:.2g}")),
-        ("rms of &#124;grad&#124; - 1", "{eikonal_rms:.2g}"),
-    )
-    return table + (
-        f"\nThe maze, {largest:,} bytes, fitted to {results['training_points']:,} points, measured at "
-        f'{results["test_points"]:,} others. "lowered": the constructed planes less a constant.\n'
-    )
-
-
 def pictures(results: dict[str, Any]) -> str:
     """From a picture to a file: seconds, vertices, how near the polygons are, errors."""
     return formatted(

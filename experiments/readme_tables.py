@@ -100,7 +100,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "descent": (uses.descent, "descent"),
     "trajectory": (uses.trajectory, "trajectory"),
     "placement": (uses.placement, "placement"),
-    "refinement": (uses.refinement, "refinement"),
     "table2": (uses.table2, "table2", "race"),
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),

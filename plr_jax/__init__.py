@@ -31,14 +31,14 @@ field = plr_jax.load("field.plr")
 ```
 
 - A `PLR` of one goal: `construct`, with many goals `construct_many`; of a changed map: `plr.updated`; proofs:
-  `certify`; other losses: `refine`, which tells a `Refinement`.
+  `certify`.
 - Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`, of a map
   that has changed `updated`; `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
   `pairs`.
 - Files: `save` and `load`, `from_bytes`; without JAX `load_numpy`, a `NumpyPLR`.
-- How cells are fitted and split, for `construct`: a `CellFit`, `least_squares`, `midrange`; `largest_error`,
-  `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, they warn: `ConstructionInterrupted`,
-  `RefinementInterrupted`. Formats and arithmetic are in `plr`.
+- How cells are fitted and split, for `construct`: a `CellFit`, `least_squares`; `largest_error`,
+  `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, `construct` warns:
+  `ConstructionInterrupted`. Formats and arithmetic are in `plr`.
 
 # Use: in a batch, under a gradient, in a planner
 

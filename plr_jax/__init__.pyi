@@ -60,8 +60,6 @@ from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
 from .plr import NumpyPLR as NumpyPLR
 from .plr import PLRStack as PLRStack
-from .plr import Refinement as Refinement
-from .plr import RefinementInterrupted as RefinementInterrupted
 from .plr import Traces as Traces
 from .plr import TraceStatus as TraceStatus
 from .plr import best_axis as best_axis
@@ -76,8 +74,6 @@ from .plr import largest_error as largest_error
 from .plr import least_squares as least_squares
 from .plr import load_numpy as load_numpy
 from .plr import maximum_depth as maximum_depth
-from .plr import midrange as midrange
-from .plr import refine as refine
 from .plr import stack as stack
 from .plr import trace as trace
 from .robots.robot import Robot as Robot

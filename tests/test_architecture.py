@@ -40,7 +40,7 @@ PLR_LAYERS = [
     ["_plr"],
     ["_stack"],
     ["_certify"],
-    ["_best", "_checkpoint", "_trace", "refinement"],
+    ["_best", "_checkpoint", "_trace"],
     ["_chunks", "_construct"],
     ["_construct_many"],
 ]

@@ -20,8 +20,7 @@ from plr_jax import (
     zero,
 )
 from plr_jax.planners import lifelong, replan, sba_star_plan
-from plr_jax.plr import PLR, NumpyPLR, quantile, refine
-from plr_jax.plr.refinement.objective import Quantile
+from plr_jax.plr import PLR, NumpyPLR
 
 ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))
@@ -38,11 +37,6 @@ def built(**options):
     return construct(cone, UNIT, max_leaves=2, **options)
 
 
-def refined(**options):
-    x = np.random.default_rng(0).random((500, 2))
-    return refine(built(), x, cone(x), **options)
-
-
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("call", "message"),
@@ -55,11 +49,6 @@ def refined(**options):
         (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),
         (lambda: built(margin="x"), "margin must be a fraction from 0 to 1 of a cell's width, got 'x'"),
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
-        (lambda: refined(held_out=False), "held_out must be a share of the points, from 0 to below 1, got False"),
-        (lambda: refined(held_out=np.complex128(0.5)), "held_out must be a share of the points"),
-        (lambda: quantile(True), "A quantile's share of over-estimates must be between 0 and 1, got True"),
-        (lambda: quantile(np.complex128(0.5)), "A quantile's share of over-estimates must be between 0 and 1"),
-        (lambda: refined(loss=Quantile(np.complex128(0.5))), "A loss's share of over-estimates must be between 0"),
         (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
         (lambda: sba_star_plan(scenes.maze(), zero(), time_limit=True), "time_limit must be positive, got True"),
         (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),

@@ -19,16 +19,5 @@ from .leaves.continuous.model import Continuous as Continuous
 from .leaves.plane import Plane as Plane
 from .portable.numpy import NumpyPLR as NumpyPLR
 from .portable.numpy import load_numpy as load_numpy
-from .refinement.objective import Faces as Faces
-from .refinement.objective import Planes as Planes
-from .refinement.objective import eikonal as eikonal
-from .refinement.objective import jumps as jumps
-from .refinement.objective import quantile as quantile
-from .refinement.objective import sample_faces as sample_faces
-from .refinement.objective import squared as squared
-from .refinement.refine import Refinement as Refinement
-from .refinement.refine import RefinementInterrupted as RefinementInterrupted
-from .refinement.refine import refine as refine
 from .sampling.cell_fit import CellFit as CellFit
 from .sampling.cell_fit import least_squares as least_squares
-from .sampling.cell_fit import midrange as midrange

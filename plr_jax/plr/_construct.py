@@ -192,8 +192,8 @@ def construct(
             missed something, their bound is large. For distance functions that answer for whole cells; see
             :func:`certify`.
         leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, instead of those of its class.
-        compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
-            function of their kind. Models that tie their leaves fit all of them at once, whatever it says.
+        compute_coefficients: Plane of a cell: ``least_squares``, or your own function of its kind. Models that tie
+            their leaves fit all of them at once instead.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
             of a ``CellFit``, from which the cell of the largest positive number is split next (True and False do).
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.

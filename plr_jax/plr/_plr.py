@@ -53,9 +53,8 @@ class PLR(HeldFile):
     jitted function can close over it or take it as an argument. Inside such a function it can be queried; its
     other properties are for the host.
 
-    ``jax.grad`` is of points. With respect to a PLR, an argument with integer tables, JAX raises ``TypeError``: to
-    fit what leaves hold to a loss use :func:`refine`. ``jax.grad(loss, allow_int=True)(plr).tables.numbers`` is the
-    gradient by the numbers that queries read, of which no file can be made.
+    ``jax.grad`` differentiates with respect to points. A PLR itself has integer tables, so ``jax.grad`` with respect
+    to a PLR raises ``TypeError``.
 
     Attributes:
         tables: What a query reads, derived from ``file`` alone.

@@ -104,7 +104,7 @@ def test_the_readmes_hold_the_committed_results_and_one_that_is_out_of_date_is_r
     pages = readme_tables.README.read_text() + readme_tables.ALL_RESULTS.read_text()
     assert all(f"<!-- table:{name} -->" in pages for name in readme_tables.TABLES)
     old = tmp_path / "README.md"
-    old.write_text("<!-- table:refinement -->\nold\n<!-- /table -->\n")
+    old.write_text("<!-- table:descent -->\nold\n<!-- /table -->\n")
     monkeypatch.setattr(readme_tables, "README", old)
     with pytest.raises(SystemExit, match="out of date"):
         readme_tables.main()

@@ -1,10 +1,10 @@
-"""Leaf models, PLRs of the walled square, and what refinement starts from, each built once."""
+"""Leaf models and PLRs of the walled square, each built once."""
 
 import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax.plr import construct, sample_faces
+from plr_jax.plr import construct
 
 
 @pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
@@ -32,14 +32,3 @@ def samples():
     distance = walled(x)
     free = np.isfinite(distance)
     return x[free], distance[free]
-
-
-@pytest.fixture(scope="session")
-def wall(samples):
-    """A PLR with planes, and points of finite distance."""
-    return construct(walled, UNIT, max_leaves=60), *samples
-
-
-@pytest.fixture(scope="session")
-def wall_faces(wall):
-    return sample_faces(wall[0], walled)

@@ -14,6 +14,7 @@ from plr_jax.plr import _construct_many
 from plr_jax.plr._chunks import Done
 
 MAZE = plr_jax.scenes.maze().workspace
+OPEN = plr_jax.Workspace(((0, 0), (1, 1)))
 CONES = {"leaf": "cone", "max_bytes": 300}
 FORKS = get_context("forkserver")
 FORKS.set_forkserver_preload(["experiments._scale_work"])
@@ -92,11 +93,8 @@ def test_certified_bounds_hold_the_distance(oracles):
         assert errors_of(plr, oracle, x).max() <= plr.max_error < 1.5 * alone.max_error
 
 
-def test_goals_of_two_workspaces_and_other_functions_in_one_list(oracles, family):
-    rooms, euclidean = plr_jax.scenes.four_rooms(2).workspace, plr_jax.Euclidean((0.2, 0.3))
-    plrs = many([oracles[1], euclidean, oracles[2]])
-    alone = plr_jax.construct(euclidean, MAZE.bounds, **CONES)
-    assert files_of(plrs) == files_of([family[1], alone, family[2]])
+def test_goals_of_two_workspaces_in_one_list(oracles):
+    rooms = plr_jax.scenes.four_rooms(2).workspace
     other = plr_jax.VisibilityGraph(rooms, (1.37, 5.23))
     mixed = plr_jax.construct_many([other, oracles[0]], rooms.bounds, **CONES)
     assert errors_of(mixed[0], other, rooms.sample_free(2000, seed=0)).mean() < 0.02
@@ -119,13 +117,13 @@ def test_bytes_do_not_depend_on_who_is_built_together(oracles, family, monkeypat
 
 @pytest.mark.usefixtures("parts_of_one")
 def test_processes_give_the_same_bytes_even_if_a_worker_is_killed(oracles, family, tmp_path):
-    fatal = FatalOnce((0.4, 0.6), tmp_path / "killed", os.getpid())
+    fatal, planes = FatalOnce((0.4, 0.6), tmp_path / "killed", os.getpid()), {"leaf": "plane", "max_leaves": 30}
     with ProcessPoolExecutor(2, mp_context=FORKS) as executor:
         assert files_of(many(oracles, executor=executor)) == files_of(family)
-        plrs = many([*oracles[:3], fatal, *oracles[3:]], executor=executor)
+        plrs = many([*oracles[:3], fatal, *oracles[3:]], executor=executor, **planes)
     assert (tmp_path / "killed").exists()
-    assert files_of(plrs[:3] + plrs[4:]) == files_of(family)
-    assert plrs[3].to_bytes() == plr_jax.construct(fatal, MAZE.bounds, **CONES).to_bytes()
+    assert files_of(plrs[:3] + plrs[4:]) == files_of(many(oracles, **planes))
+    assert plrs[3].to_bytes() == plr_jax.construct(fatal, MAZE.bounds, **planes).to_bytes()
 
 
 class Failing(Executor):
@@ -157,7 +155,7 @@ def test_what_a_dead_worker_had_is_built_again_and_what_is_done_before_an_interr
 
 @pytest.fixture(scope="module")
 def work(oracles):
-    return [*oracles[:2], plr_jax.Euclidean((0.2, 0.3))]
+    return [*oracles[:2], plr_jax.VisibilityGraph(OPEN, (0.2, 0.3))]
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +198,7 @@ def test_what_was_done_before_an_error_is_kept(work, finished, tmp_path):
     "change",
     [
         lambda work: (work[:2], {}),
-        lambda work: ([*work[:2], plr_jax.Euclidean((0.2, 0.31))], {}),
+        lambda work: ([*work[:2], plr_jax.VisibilityGraph(OPEN, (0.2, 0.31))], {}),
         lambda work: ([work[0], work[0].with_goal((0.93, 0.951)), work[2]], {}),
         lambda work: (work[::-1], {}),
         lambda work: (work, {"max_bytes": 301}),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plr_jax import Box, Dubins, Euclidean, ReedsShepp, certify, construct, refine
+from plr_jax import Box, Dubins, Euclidean, ReedsShepp, construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.container import Container
 
@@ -78,13 +78,3 @@ def test_nothing_is_folded_of_a_function_that_states_nothing():
     plr = construct(partial(Euclidean.__call__, oracle), domain, max_leaves=9)
     assert plr.tables.folding is None and plr.folded_domain == plr.domain
     assert Container.from_bytes(plr.to_bytes()).folding is None
-
-
-def test_folded_planes_are_refined_but_not_certified():
-    oracle, domain = CASES["straight"]
-    plr, x = construct(oracle, domain, max_leaves=8), points(domain, 4000)
-    refined, report = refine(plr, x, oracle(x), num_steps=20)
-    assert report.refined.training.loss <= report.given.training.loss * 1.01
-    assert refined.folded_domain == plr.folded_domain
-    with pytest.raises(ValueError, match="points are folded"):
-        certify(plr, oracle)

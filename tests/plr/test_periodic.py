@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, random_contents, walled
 
-from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, certify, construct, from_bytes, refine
-from plr_jax.plr import sample_faces
+from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, certify, construct, from_bytes
 from plr_jax.plr._file import encode
 from plr_jax.plr._plr import leaf_of, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, Proof
@@ -153,19 +152,6 @@ def test_other_domains_are_not_wrapped():
     plr = construct(walled, UNIT, max_leaves=20)
     assert plr.tables.periodic == () and "floor" not in str(jax.make_jaxpr(plr)(jnp.zeros(2)))
     assert np.isinf(plr(np.array([1.5, 0.5])))
-
-
-def test_refinement_goes_around():
-    x = inside(CYLINDER, 4000)
-    plr = construct(on_cylinder, CYLINDER, leaf="continuous", max_leaves=40)
-    refined, report = refine(plr, x, on_cylinder(x))
-    assert refined.domain == CYLINDER
-    assert report.refined.training.rms < 1.05 * report.given.training.rms
-    faces = sample_faces(refined, on_cylinder)
-    lower, upper = faces.leaves.T
-    lo, hi = refined.leaf_boxes
-    assert ((hi[lower, 0] == PI) & (lo[upper, 0] == -PI) & (faces.x[:, 0] == PI)).sum() > 5
-    assert np.abs(faces.jumps(refined)).max() < 1e-9
 
 
 def test_cones_and_proofs_are_refused():

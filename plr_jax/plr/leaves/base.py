@@ -1,8 +1,7 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,29 +28,10 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
-Functions: TypeAlias = tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"], Float[np.ndarray, "n terms"]]
 """Functions of leaves: corners of their boxes, and finite coefficients."""
 
 UNIT = 2.0**-24
 """Largest relative error of rounding to 32-bit floats."""
-
-
-@dataclass(frozen=True, eq=False)
-class Parameters:
-    """The free numbers of the leaves' functions: all coefficients are a linear map of them.
-
-    Every entry adds to a coefficient (``row``, numbered leaf by leaf) a parameter (``column``) times a ``weight``.
-    """
-
-    values: Float[np.ndarray, "parameters"]
-    row: Int[np.ndarray, "entries"]
-    column: Int[np.ndarray, "entries"]
-    weight: Float[np.ndarray, "entries"]
-
-    @property
-    def is_leafwise(self) -> bool:
-        """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
-        return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
 
 
 class LeafModel(ABC):
@@ -153,13 +133,6 @@ class LeafModel(ABC):
         ...
 
     @abstractmethod
-    def differences(
-        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Bounds of functions of leaves minus those of others, over boxes, one each."""
-        ...
-
-    @abstractmethod
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
@@ -219,23 +192,6 @@ class LinearLeafModel(LeafModel):
     ) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
         ...
-
-    @abstractmethod
-    def parameters(self, cells: Cells, stored: Any) -> Parameters:
-        """The free numbers of the leaves' functions, which a refinement may change."""
-        ...
-
-    @abstractmethod
-    def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
-        """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
-        ...
-
-    def raised(self, stored: Any, shift: float) -> Any:
-        """The leaves with all values higher by a number, or by a little less, where none such can be stored.
-
-        What is stored is to be a dataclass whose ``offset`` is added to all values, or this is to be overridden.
-        """
-        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def values(
         self,
@@ -355,16 +311,6 @@ class FamilyLeafModel(SourcedLeafModel):
         ...
 
 
-def as_linear(leaf: LeafModel) -> LinearLeafModel:
-    """A leaf model whose functions are linear in their coefficients; raises ``ValueError`` if they are not."""
-    if not isinstance(leaf, LinearLeafModel):
-        raise ValueError(
-            f"Leaves of kind {leaf.name!r} cannot be refined, nor are their faces sampled: their functions are not "
-            "linear in what is stored of them. Build a PLR of another kind, or a larger one."
-        )
-    return leaf
-
-
 def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
     """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
     if not isinstance(leaf, SourcedLeafModel):
@@ -390,9 +336,3 @@ def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
     Where the domain is far from the origin, points are counted from a corner before.
     """
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)
-
-
-def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The nearest 32-bit floats that are not above, in double precision."""
-    rounded = values.astype(np.float32)
-    return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)

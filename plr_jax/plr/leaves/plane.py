@@ -1,6 +1,6 @@
 """A plane in every leaf, each fitted to its own samples: the paper's model."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +17,9 @@ from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first
 from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
-    Functions,
     LinearLeafModel,
-    Parameters,
     Rules,
     largest_coordinates,
-    rounded_down,
 )
 from plr_jax.plr.partition.cells import Cells, levels_of
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
@@ -272,26 +269,6 @@ class Plane(LinearLeafModel):
         """Coefficients of planes."""
         return np.column_stack([center, half])
 
-    def parameters(self, cells: Cells, stored: StoredPlanes) -> Parameters:
-        """All coefficients are free."""
-        values = self.coefficients(cells, stored).ravel()
-        each = np.arange(len(values))
-        return Parameters(values, each, each, np.ones(len(values)))
-
-    def restored(self, stored: StoredPlanes, values: Float[np.ndarray, "parameters"]) -> Iterator[StoredPlanes]:
-        """Other planes, with as many bits as before, then with fewer."""
-        planes = values.reshape(len(stored.center), -1)
-        center = np.where(stored.unreachable, np.inf, planes[:, 0])
-        for bits in (stored.bits, *range(min(stored.bits - 1, MAX_BITS), MIN_BITS - 1, -1)):
-            yield encode_planes(center, planes[:, 1:], bits)
-
-    def raised(self, stored: StoredPlanes, shift: float) -> StoredPlanes:
-        """All planes higher by a number, or by a little less."""
-        if stored.bits == FLOAT_BITS:
-            center, half = stored.decode()
-            return encode_planes(rounded_down(center + shift), half, FLOAT_BITS)
-        return super().raised(stored, shift)
-
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
@@ -314,16 +291,6 @@ class Plane(LinearLeafModel):
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
-
-    def differences(
-        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Differences at the centers of boxes, and what the slopes' differences make of half their widths."""
-        center, reach = (lo + hi) / 2, (hi - lo) / 2
-        slope, other = (2 * planes[:, 1:] / (end - start) for start, end, planes in (leaves, others))
-        apart = self.values(*leaves, center) - self.values(*others, center)
-        spread = (np.abs(slope - other) * reach).sum(axis=1)
-        return apart - spread, apart + spread
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]

@@ -147,24 +147,6 @@ def least_squares(
     return plane[:, 0], plane[:, 1:]
 
 
-def midrange(
-    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
-) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
-    """The slope of :func:`least_squares`, at the height that makes the largest error smallest.
-
-    Above and below the plane the samples of positive weight then err equally far. Meant for a ``tolerance``: fewer
-    leaves for the same largest error, at about twice the mean error for the same leaves. Takes and returns what
-    :func:`least_squares` does.
-    """
-    center, half = least_squares(pattern, value, weight)
-    residual = value - (center[:, None] + half @ pattern.u.T)
-    counts = weight > 0
-    counts |= ~counts.any(axis=1, keepdims=True)
-    highest = residual.max(axis=1, where=counts, initial=-np.inf)
-    lowest = residual.min(axis=1, where=counts, initial=np.inf)
-    return center + 0.5 * (highest + lowest), half
-
-
 def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
     """Cells in which not every sample has weight 1."""
     differs = weight != 1

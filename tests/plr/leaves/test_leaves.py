@@ -1,16 +1,11 @@
 """Leaf models: their names and codes, and what holds of the numbers of every model with free parameters."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from plr_helpers import random_contents
 
 from plr_jax.plr import Continuous, Plane
-from plr_jax.plr._plr import plr_of_leaves
-from plr_jax.plr.coding import BitWriter
 from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_of_code
-from plr_jax.plr.leaves.base import linear_mean_planes, rounded_down
+from plr_jax.plr.leaves.base import linear_mean_planes
 from plr_jax.plr.leaves.cone.model import Cone
 
 MODELS = {"plane": Plane(), "continuous": Continuous(order=0), "smooth": Continuous(order=1), "cone": Cone()}
@@ -57,38 +52,3 @@ def test_coefficients_of_planes_are_planes(leaf, dim):
     np.testing.assert_allclose(coefficients @ model.basis(u).T, center[:, None] + half @ u.T, atol=1e-12)
     for found, expected in zip(linear_mean_planes(model, coefficients, dim), (center, half), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_coefficients_are_a_map_of_parameters_which_are_stored_with_fewer_and_fewer_bits(leaf):
-    contents = random_contents(3, 2, leaf)
-    model, coefficients = contents.leaf, contents.leaf.coefficients(contents.cells, contents.stored)
-    parameters, sizes = model.parameters(contents.cells, contents.stored), []
-    of_map = np.zeros(coefficients.size)
-    np.add.at(of_map, parameters.row, parameters.weight * parameters.values[parameters.column])
-    np.testing.assert_allclose(of_map.reshape(coefficients.shape), coefficients, atol=1e-12)
-    for stored in model.restored(contents.stored, parameters.values):
-        values = model.parameters(contents.cells, stored).values
-        assert np.abs(values - parameters.values).max() <= 0.51 * stored.step + 1e-6 * np.abs(parameters.values).max()
-        model.write(body := BitWriter(), contents.domain, contents.cells, stored)
-        sizes.append(body.num_bits)
-        if len(sizes) == 1:  # the same as before
-            np.testing.assert_allclose(stored.step, contents.stored.step, rtol=1e-5)
-    assert sizes[-1] < 0.7 * sizes[0] and (np.diff(sizes) <= 0).all()
-
-
-def test_raised_leaves_are_higher_by_the_shift_or_a_little_less(leaf):
-    contents = random_contents(4, 2, leaf)
-    x = contents.domain.lo + contents.domain.width * np.random.default_rng(0).random((200, 2))
-    raised = replace(contents, stored=contents.leaf.raised(contents.stored, 0.123456789))
-    change = np.asarray(plr_of_leaves(raised)(x), float) - np.asarray(plr_of_leaves(contents)(x), float)
-    finite = np.isfinite(change)
-    assert finite.sum() > 100
-    np.testing.assert_allclose(change[finite], 0.123456789, atol=1e-5)
-
-
-def test_rounding_down_to_32_bits():
-    values = np.array([0.1, -0.1, 1.0, 1 + 2.0**-40, -1 - 2.0**-40])
-    found = rounded_down(values)
-    np.testing.assert_array_equal(found, found.astype(np.float32))
-    assert (found <= values).all() and (values - found < 2e-7).all()
-    assert found[2] == 1.0 == found[3]

@@ -21,7 +21,6 @@ from plr_jax.plr.leaves.plane import (
     write_planes,
 )
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import midrange
 
 
 @pytest.fixture(scope="module")
@@ -69,13 +68,6 @@ def test_a_fit_of_the_callers_own():
     plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, compute_coefficients=flat)
     np.testing.assert_allclose(plr.slope, 0)
     assert (plr(points(100, 0)) >= 0.2).all()
-
-
-def test_midrange_planes_need_fewer_leaves_for_a_tolerance():
-    balanced = construct(cone, UNIT, tolerance=0.002, compute_coefficients=midrange)
-    x = points(20_000, 0)
-    assert np.abs(balanced(x) - cone(x)).max() < 1.2 * 0.002
-    assert balanced.num_leaves < 0.8 * construct(cone, UNIT, tolerance=0.002).num_leaves
 
 
 def test_numbers_are_the_value_at_the_corner_and_the_slopes():

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import shortened
 from plr_jax._types import ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
+from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth.best_first import best_axis, largest_error
@@ -19,7 +19,6 @@ from plr_jax.plr.growth.limits import Limits, grow
 from plr_jax.plr.leaves.base import (
     UNIT,
     FamilyLeafModel,
-    Functions,
     ProvenLeaves,
     Rules,
     UpdatedLeaves,
@@ -130,19 +129,6 @@ class Cone(FamilyLeafModel):
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Extremes of other cones minus these, over convex pieces."""
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
-
-    def differences(
-        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Extremes in the plane; elsewhere less tight, but exact where both cones have one source."""
-        (*_, cones), (*_, other_cones) = leaves, others
-        if lo.shape[1] == 2:
-            pieces = boxes_as_pieces(lo, hi)
-            return difference_of_cones(pieces, cones[:, 1:], cones[:, 0], other_cones[:, 1:], other_cones[:, 0])
-        apart = np.linalg.norm(cones[:, 1:] - other_cones[:, 1:], axis=1)
-        shift, spread = cones[:, 0] - other_cones[:, 0], np.linalg.norm(hi - lo, axis=1)
-        center = self.values(*leaves, (lo + hi) / 2) - self.values(*others, (lo + hi) / 2) - shift
-        return shift + np.maximum(center - spread, -apart), shift + np.minimum(center + spread, apart)
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]

@@ -1,6 +1,6 @@
 """Values at the corners of leaves, tied across free faces, all fitted at once."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +15,6 @@ from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
     CornerLeafModel,
-    Functions,
-    Parameters,
     Rules,
     largest_coordinates,
 )
@@ -37,7 +35,6 @@ from plr_jax.plr.leaves.continuous.space import (
     monomials,
     numbers_of_leaves,
     numbers_of_planes,
-    on_boxes,
 )
 from plr_jax.plr.partition.cells import Cells, Tree
 from plr_jax.plr.partition.faces import SharedFaces
@@ -130,16 +127,6 @@ class Continuous(CornerLeafModel):
         """Coefficients with which leaves hold planes."""
         return numbers_of_planes(self.order, center, half)
 
-    def parameters(self, cells: Cells, stored: StoredValues) -> Parameters:
-        """The values at the corners that do not hang are free."""
-        of_masters = numbers_of_leaves(self.order, stored.partition.space).tocoo()
-        return Parameters(stored.decode(), of_masters.row, of_masters.col, of_masters.data)
-
-    def restored(self, stored: StoredValues, values: Float[np.ndarray, "parameters"]) -> Iterator[StoredValues]:
-        """Other values, in multiples of the same step, then of steps that are larger and larger."""
-        for doublings in range(_MOST_DOUBLINGS):
-            yield StoredValues.rounded(stored.partition, values, stored.step * 2.0**doublings)
-
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
@@ -165,14 +152,6 @@ class Continuous(CornerLeafModel):
         intercept = value - (slope * (first + last)).sum(axis=1) / 2
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
-
-    def differences(
-        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Least and largest coefficients in the Bernstein basis of each box: exact at order 0."""
-        polynomials = (on_boxes(self.order, *functions, lo, hi) for functions in (leaves, others))
-        apart = np.subtract(*polynomials)
-        return apart.min(axis=1), apart.max(axis=1)
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]

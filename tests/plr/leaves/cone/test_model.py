@@ -54,20 +54,6 @@ def test_a_leaf_among_clutter_takes_little_memory():
     tracemalloc.stop()
 
 
-def test_differences_of_cones_are_bounded_off_the_plane_and_exact_around_one_source():
-    rng, cone = np.random.default_rng(0), leaf_model("cone")
-    lo, hi = rng.random((20, 3)), 1 + rng.random((20, 3))
-    one, other = (np.column_stack([rng.random(20), rng.normal(size=(20, 3))]) for _ in range(2))
-    other[:10, 1:] = one[:10, 1:]
-    leaves, others = (lo, hi, one), (lo, hi, other)
-    least, most = cone.differences(lo, hi, leaves, others)
-    np.testing.assert_allclose([least[:10], most[:10]], np.tile(one[:10, 0] - other[:10, 0], (2, 1)), atol=1e-12)
-    for share in rng.random((200, 1, 3)):
-        x = (lo + share[0] * (hi - lo)).astype(float)
-        difference = cone.values(*leaves, x) - cone.values(*others, x)
-        assert (least - 1e-12 <= difference).all() and (difference <= most + 1e-12).all()
-
-
 def test_a_query_is_the_cone_of_the_points_leaf_around_a_source_of_the_oracle(cones, maze):
     offset, apex = cones._coefficients[:, 0], cones._coefficients[:, 1:]
     away = np.linalg.norm(apex[:, None] - maze.sources.points, axis=2)

@@ -1,1 +1,0 @@
-"""Fitting a PLR's planes again, all at once, to a loss."""
