@@ -16,7 +16,7 @@ import numpy as np
 from experiments._runner import run
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, VisibilityGraph, construct, construct_many, scenes, stack
-from plr_jax._cores import num_cores
+from plr_jax._compiled import num_cores
 
 GOAL_SEED, POINT_SEED = 11, 12
 MAPS = {"maze": (1_000, 1_024), "floor_plan": (2_000, 2_048)}

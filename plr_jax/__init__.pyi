@@ -76,11 +76,11 @@ from .plr import load_numpy as load_numpy
 from .plr import maximum_depth as maximum_depth
 from .plr import stack as stack
 from .plr import trace as trace
+from .robots.robot import DiscRobot as DiscRobot
+from .robots.robot import PointRobot as PointRobot
+from .robots.robot import PolygonRobot as PolygonRobot
+from .robots.robot import RectangleRobot as RectangleRobot
 from .robots.robot import Robot as Robot
-from .robots.shapes import DiscRobot as DiscRobot
-from .robots.shapes import PointRobot as PointRobot
-from .robots.shapes import PolygonRobot as PolygonRobot
-from .robots.shapes import RectangleRobot as RectangleRobot
 from .spaces import CellState as CellState
 from .spaces import ClearanceSpace as ClearanceSpace
 from .spaces import Climbing as Climbing

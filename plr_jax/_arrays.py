@@ -7,6 +7,7 @@ array of float64 is passed on as it is, and what has another shape or holds no r
 import math
 import reprlib
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -263,3 +264,25 @@ def shortened(value: object) -> str:
     except (ValueError, RecursionError):  # an integer of thousands of digits, lists without end
         text = f"a very large {type(value).__name__}"
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+# Ends of time limits, on the clock of ``time.perf_counter``.
+
+
+def deadline_after(time_limit: object) -> float:
+    """The end of so many seconds, ``inf`` for no end."""
+    return time.perf_counter() + as_number(
+        "time_limit", time_limit, "a positive number or inf", lambda number: number > 0
+    )
+
+
+def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
+    """Raise ``TimeoutError`` if so many seconds are not left before a deadline.
+
+    Args:
+        deadline: The time that must not be passed.
+        purpose: What is not done if it is, as the message says after "before".
+        seconds: How long what follows takes that cannot be cut short.
+    """
+    if time.perf_counter() + seconds > deadline:
+        raise TimeoutError(f"The deadline passed before {purpose}.")

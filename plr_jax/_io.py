@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from plr_jax._arrays import shortened
-from plr_jax._atomic import write_atomically
+from plr_jax._files import write_atomically
 from plr_jax.pairs.grid_pairs import GridPairs
 from plr_jax.pairs.pair_plr import PairPLR, pairs_from_bytes
 from plr_jax.plr._plr import PLR, from_bytes

@@ -7,10 +7,8 @@ PACKAGE = Path(__file__).parent.parent / "plr_jax"
 # From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
 LAYERS = [
     ["_types"],
-    ["_arrays", "_atomic", "_pytree"],
-    ["_cores"],
-    ["_deadline"],
-    ["_documents"],
+    ["_arrays"],
+    ["_compiled", "_files"],
     ["geometry"],
     ["robots"],
     ["collision"],

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from plr_jax._atomic import write_atomically
+from plr_jax._files import write_atomically
 
 
 def test_a_file_is_written_and_replaced(tmp_path):

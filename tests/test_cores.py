@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plr_jax._cores import answered_in_parts, is_on_one_host, num_cores
+from plr_jax._compiled import answered_in_parts, is_on_one_host, num_cores
 
 
 def sums(x, y):

@@ -1,7 +1,7 @@
 import pytest
 
-from plr_jax import _deadline
-from plr_jax._deadline import deadline_after, require_time
+from plr_jax import _arrays
+from plr_jax._arrays import deadline_after, require_time
 
 
 @pytest.mark.parametrize("time_limit", [0, -1.0, float("nan"), "1", None, True])
@@ -11,7 +11,7 @@ def test_a_limit_is_a_positive_number(time_limit):
 
 
 def test_what_is_needed_must_be_left(monkeypatch):
-    monkeypatch.setattr(_deadline.time, "perf_counter", lambda: 100.0)
+    monkeypatch.setattr(_arrays.time, "perf_counter", lambda: 100.0)
     assert deadline_after(float("inf")) == float("inf")
     require_time(float("inf"), "it was done", 1e300)
     deadline = deadline_after(1000.0)

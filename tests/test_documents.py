@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from plr_jax import scenes
-from plr_jax._documents import json_of, text_of, yaml_of
+from plr_jax._files import json_of, text_of, yaml_of
 
 DEEP = "expected lists and mappings at most 32 deep"
 MANY_DIGITS = "Exceeds the limit"

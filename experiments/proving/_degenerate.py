@@ -16,7 +16,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
-from plr_jax.geometry.polygons import as_polygon
+from plr_jax.geometry.boundary import as_polygon
 
 MAPS, LEAVES, POINTS, GOALS = 5_000, ("cone", "plane"), 300, 8
 SECONDS = 120  # after which a map counts as one that hangs

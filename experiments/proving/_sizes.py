@@ -13,7 +13,7 @@ from experiments.benchmarks._maps import Map, load_map, load_maps
 from experiments.benchmarks._oracle import prepared
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, VisibilityGraph, certify, construct
-from plr_jax.geometry.polygons import polygons_of, triangulate
+from plr_jax.geometry.boundary import polygons_of, triangulate
 
 _LEAVES, _POINTS, _SMOKE_POINTS = 30, 20_000, 500
 _BEST, _POINTS_A_BOX, _ROUNDS = 12, 2_000, 5

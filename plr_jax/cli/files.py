@@ -257,7 +257,7 @@ def export(
     a grid become steps between any two cells: their header reads a file of tables, which is written beside it.
     """
     from plr_jax import load
-    from plr_jax._atomic import write_atomically
+    from plr_jax._files import write_atomically
     from plr_jax.plr import load_numpy
 
     require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))

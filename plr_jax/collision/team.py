@@ -13,10 +13,17 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time
 from plr_jax._types import JointConfigurations
-from plr_jax.collision.kernels import judge_box_and_point, judge_boxes, judge_convex, judge_point_and_box
-from plr_jax.collision.moving import Column, bisect, moving
+from plr_jax.collision.bodies import (
+    Column,
+    bisect,
+    judge_box_and_point,
+    judge_boxes,
+    judge_convex,
+    judge_point_and_box,
+    moving,
+)
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace

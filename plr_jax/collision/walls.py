@@ -13,10 +13,8 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import parts, run_members, runs
-from plr_jax._deadline import require_time
-from plr_jax.collision.kernels import judge_boxes, judge_convex
-from plr_jax.collision.moving import Booleans, Column, MovingBodies, bisect, moving
+from plr_jax._arrays import parts, require_time, run_members, runs
+from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, judge_boxes, judge_convex, moving
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot

@@ -22,7 +22,7 @@ ROOM = 8
 
 def convex_pieces(region: Any) -> Float[np.ndarray, "2 pieces 3"]:
     """Triangles that fill a region of polygons, counterclockwise."""
-    from plr_jax.geometry.polygons import triangulate  # needs Shapely, which a query does not
+    from plr_jax.geometry.boundary import triangulate  # needs Shapely, which a query does not
 
     triangles = triangulate(region)
     clockwise = cross_product(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) < 0

@@ -12,7 +12,7 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, runs, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.polygons import LARGEST_COORDINATE, advice_on_cells, rounding_at
+from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 # The outline of the free pixels of a grid, exactly: rings of corners along the edges of pixels.

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.triangulation import Triangulation, after, before
 from plr_jax.geometry.vectors import pseudo_angle

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_of
 
 _MOST_AXES = 4
 _LEAST_SIDE = 8e3  # roundings of coordinates, as of pixels

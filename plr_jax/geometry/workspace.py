@@ -12,19 +12,28 @@ from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, no_attribute, require_integer, shortened
-from plr_jax._deadline import deadline_after
+from plr_jax._arrays import (
+    as_bool,
+    as_finite,
+    as_points,
+    deadline_after,
+    is_of_jax,
+    no_attribute,
+    require_integer,
+    shortened,
+)
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, RingEdges, are_crossed, grown_boundary, thin_walls
-from plr_jax.geometry.box import Box
-from plr_jax.geometry.masks import placed_region, rounded_one_by_one
-from plr_jax.geometry.polygons import (
+from plr_jax.geometry.boundary import (
+    Boundary,
     Region,
+    RingEdges,
     advice_on_cells,
+    are_crossed,
     as_bounds,
     as_components,
     as_polygons,
     grid_of,
+    grown_boundary,
     merge_vertices,
     prepared,
     region_after,
@@ -32,9 +41,12 @@ from plr_jax.geometry.polygons import (
     rounding_of,
     sample_triangles,
     thicker_than,
+    thin_walls,
     triangulate,
     united_within,
 )
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 
 if TYPE_CHECKING:

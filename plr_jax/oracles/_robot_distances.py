@@ -8,7 +8,7 @@ import shapely
 import shapely.ops
 from jaxtyping import Float
 
-from plr_jax._deadline import deadline_after, require_time
+from plr_jax._arrays import deadline_after, require_time
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph

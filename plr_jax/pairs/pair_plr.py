@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, UInt8
 
-from plr_jax._cores import answered_in_parts, is_on_one_host
+from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.goals import PreparedGoals, distances_to_corners, ways_to_goals

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
-from plr_jax._atomic import write_atomically
-from plr_jax._documents import errors_named, format_name, json_of, require_format
+from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.robots.robot import between, motions_under_way

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from tqdm import tqdm
 
-from plr_jax._arrays import runs
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time, runs
 from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time
 from plr_jax._problem import Problem
 from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest

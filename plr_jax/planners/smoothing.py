@@ -14,8 +14,7 @@ import scipy.sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import run_members, runs
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time, run_members, runs
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.team import Circles, JointMotionTest, Traffic, circles, circles_along, within_reach
 from plr_jax.robots.robot import between

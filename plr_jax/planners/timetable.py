@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import runs
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time, runs
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, Traffic, circles
 from plr_jax.planners.lattice.build import Primitive, motions_of

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite, as_number
-from plr_jax._atomic import write_atomically
+from plr_jax._files import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
 from plr_jax.plot._html import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from plr_jax._arrays import shortened
-from plr_jax._atomic import write_atomically
+from plr_jax._files import write_atomically
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
 from plr_jax.pairs.module import js_pairs_reader, require_lists

@@ -19,8 +19,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
+from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
-from plr_jax.geometry.polygons import triangulate
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE,

@@ -16,7 +16,7 @@ import numpy as np
 
 import plr_jax
 from plr_jax._arrays import as_distances, shortened
-from plr_jax._atomic import write_atomically
+from plr_jax._files import write_atomically
 from plr_jax._types import DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 

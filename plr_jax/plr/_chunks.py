@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from plr_jax._cores import num_cores
+from plr_jax._compiled import num_cores
 from plr_jax.plr._checkpoint import KEY_SIZE, Checkpoint
 
 

@@ -12,11 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import shortened
-from plr_jax._documents import errors_named, yaml_of
+from plr_jax._files import errors_named, yaml_of
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot, team_dof
-from plr_jax.robots.shapes import DiscRobot, RectangleRobot
+from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot, team_dof
 
 # A db-CBS unicycle_first_order_0 is this rectangle, though a dynobench model of that name is a disc.
 _SHAPES: dict[str, Robot] = {

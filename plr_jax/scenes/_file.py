@@ -9,12 +9,10 @@ import numpy as np
 import shapely
 
 from plr_jax._arrays import as_finite, as_points, shortened
-from plr_jax._atomic import write_atomically
-from plr_jax._documents import errors_named, format_name, json_of, require_format
+from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
-from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
+from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
 from plr_jax.scenes._geojson import rings_of
 
 _KIND = "scene"

@@ -12,10 +12,10 @@ import shapely
 from jaxtyping import Float
 
 from plr_jax._arrays import shortened
-from plr_jax._documents import errors_named, json_of
+from plr_jax._files import errors_named, json_of
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import as_polygon
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import as_polygon
 from plr_jax.geometry.workspace import Workspace
 
 # Reader of polygon files: free space as outer rings with holes, in JSON.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import shortened
-from plr_jax._documents import errors_named, text_of
+from plr_jax._files import errors_named, text_of
 from plr_jax.geometry.workspace import Workspace
 
 _PASSABLE = ".GS"

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
-from plr_jax._documents import errors_named, yaml_of
+from plr_jax._files import errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
 from plr_jax.geometry.workspace import Workspace

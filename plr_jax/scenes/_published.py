@@ -14,7 +14,7 @@ from jaxtyping import Float
 from plr_jax._arrays import as_finite, require_integer
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.shapes import DiscRobot, PointRobot
+from plr_jax.robots.robot import DiscRobot, PointRobot
 from plr_jax.scenes._file import load
 
 # Variants of a problem, to see how much a result owes to the starts and goals of one.

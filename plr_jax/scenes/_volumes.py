@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_bool, as_finite, shortened
-from plr_jax._documents import errors_named, text_of
+from plr_jax._files import errors_named, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.scenes._meshes import MESH_ENDINGS, free_of_mesh, triangles_of

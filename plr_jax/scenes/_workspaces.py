@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from plr_jax._documents import errors_named, json_of, yaml_of
+from plr_jax._files import errors_named, json_of, yaml_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._dbcbs import read_dbcbs
 from plr_jax.scenes._file import is_scene, load

@@ -14,8 +14,7 @@ from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace, require_workspace
-from plr_jax.robots.robot import Robot
-from plr_jax.robots.shapes import PointRobot
+from plr_jax.robots.robot import PointRobot, Robot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 # What of a workspace's obstacles meets bodies: in motion, and where they are known to some distance only.

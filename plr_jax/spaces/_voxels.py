@@ -7,10 +7,9 @@ from jaxtyping import Bool, Int8
 
 from plr_jax._arrays import as_finite, as_points
 from plr_jax._types import ArrayLike
-from plr_jax.collision.voxel_distances import ball_passes, blocked_within
-from plr_jax.collision.voxel_traversal import point_passes
+from plr_jax.collision.voxels import ball_passes, blocked_within, point_passes
+from plr_jax.geometry.boundary import rounding_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import rounding_of
 from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 

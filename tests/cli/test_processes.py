@@ -70,9 +70,9 @@ def test_an_interrupt_after_all_imports_is_an_exception():
 def test_a_command_that_is_terminated_leaves_no_half_written_file(tmp_path):
     code = """
 import os, pathlib, signal, sys
-from plr_jax import _atomic, cli
+from plr_jax import _files, cli
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGTERM)
-cli.load_app = lambda: lambda: _atomic.write_atomically(pathlib.Path(sys.argv[1]), b"data")
+cli.load_app = lambda: lambda: _files.write_atomically(pathlib.Path(sys.argv[1]), b"data")
 cli.main()
 """
     done = script(code, tmp_path / "file")

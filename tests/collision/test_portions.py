@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
-from plr_jax import _deadline
-from plr_jax.collision import kernels as convex
-from plr_jax.collision import moving, walls
+from plr_jax import _arrays
+from plr_jax.collision import bodies, walls
 from plr_jax.collision import team as pairs
 from plr_jax.collision.team import JointMotionTest, motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.shapes import PolygonRobot
+from plr_jax.robots.robot import PolygonRobot
 
 BLOCKS = [[(x, y), (x + 0.3, y), (x + 0.2, y + 0.4)] for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
 ROOM = Workspace(((0, 0), (4, 4)), BLOCKS)
@@ -45,7 +44,7 @@ def test_the_lowest_of_many_corners_is_found_in_every_direction(num_corners, see
     direction[:8] = (np.arange(8) * np.pi / 4)[:, None]
     nx, ny = np.cos(direction), np.sin(direction)
     expected = np.einsum("dsn,dcn->scn", np.stack([nx, ny]), corners).min(axis=1)
-    np.testing.assert_allclose(convex._lowest(corners, nx, ny), expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(bodies._lowest(corners, nx, ny), expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -59,8 +58,8 @@ def test_few_bodies_are_judged_at_a_time_however_long_they_are_in_doubt(corners,
         return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
 
     q0, q1 = columns(3)
-    body = moving.moving(BAR, q0, q1).sized(np.zeros((2, corners)))
-    assert not moving.bisect(undecided, body, body, reach).any()
+    body = bodies.moving(BAR, q0, q1).sized(np.zeros((2, corners)))
+    assert not bodies.bisect(undecided, body, body, reach).any()
     assert max(judged) <= most
     assert sum(judged) > most  # all at once would be more
 
@@ -72,7 +71,7 @@ def test_pairs_in_portions(robots, monkeypatch):
     whole = motions_apart(*motions, 1e-9)
     row = motions_apart(robots[0], a0[3:4], a1[3:4], robots[1], b0, b1, 1e-9)
     np.testing.assert_array_equal(row, whole[3])
-    for module, name, value in ((moving, "_CORNERS", 20), (pairs, "_CHUNK_PAIRS", 7), (pairs, "_MOST", 70)):
+    for module, name, value in ((bodies, "_CORNERS", 20), (pairs, "_CHUNK_PAIRS", 7), (pairs, "_MOST", 70)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(motions_apart(*motions, 1e-9), whole)
     assert 0 < whole.mean() < 1
@@ -82,7 +81,7 @@ def test_pairs_in_portions(robots, monkeypatch):
 def test_walls_in_portions(robot, monkeypatch):
     q0, q1 = columns(300)
     whole = MotionTest(ROOM, robot)(q0, q1)
-    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 100), (moving, "_CORNERS", 20)):
+    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 100), (bodies, "_CORNERS", 20)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(MotionTest(ROOM, robot)(q0, q1), whole)
     assert 0 < whole.mean() < 1
@@ -128,12 +127,12 @@ def test_tests_end_at_the_deadline(robot):
 
 def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
     clock = iter(range(1000))
-    monkeypatch.setattr(_deadline.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
     q0, q1 = columns(20)
-    body = moving.moving(BAR, q0, q1).sized(np.zeros((2, 4)))
+    body = bodies.moving(BAR, q0, q1).sized(np.zeros((2, 4)))
     never = np.zeros(20, dtype=bool)
     with pytest.raises(TimeoutError):
-        moving.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
+        bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
     assert next(clock) == 7  # six judgements were begun at most
 
 

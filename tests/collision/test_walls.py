@@ -5,7 +5,7 @@ from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shape
 
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.shapes import DiscRobot, PolygonRobot, RectangleRobot
+from plr_jax.robots.robot import DiscRobot, PolygonRobot, RectangleRobot
 
 UP = np.pi / 2
 

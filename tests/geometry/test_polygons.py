@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax.geometry.polygons import as_polygon, as_polygons, polygons_of, triangulate
+from plr_jax.geometry.boundary import as_polygon, as_polygons, polygons_of, triangulate
 from plr_jax.geometry.workspace import Workspace
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from piece_helpers import TEN, box
 
-from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.polygons import as_polygon
+from plr_jax.geometry.boundary import Boundary, as_polygon
 from plr_jax.geometry.triangulation import triangulation_of
 from plr_jax.geometry.vectors import cross_product
 from plr_jax.geometry.workspace import Workspace

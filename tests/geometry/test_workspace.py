@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from piece_helpers import TEN, box, general_workspace
 
-from plr_jax import _deadline
+from plr_jax import _arrays
 from plr_jax.geometry import boundary as boundaries
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
@@ -187,7 +187,7 @@ def test_obstacles_are_grown_in_parts_until_the_time_limit(monkeypatch):
         in_parts = random_workspace(seed).inflate(0.3, time_limit=60).free_space
         assert in_parts.symmetric_difference(free).area < 1e-9
     clock = itertools.count()
-    monkeypatch.setattr(_deadline.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
     with pytest.raises(TimeoutError, match="before the obstacles were grown"):
         BLOCK.inflate(0.5, time_limit=3)
     assert next(clock) <= 6

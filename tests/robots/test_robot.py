@@ -4,8 +4,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.robots.robot import footprint, shorter_turn, team_dof
-from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, footprint, shorter_turn, team_dof
 
 
 def test_radii_of_the_discs_within_and_around():

@@ -6,7 +6,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
 from plr_jax import Box, GridField, PlaneSpace, RasterCost, RigidBodySpace, Workspace, solve_eikonal
-from plr_jax.robots.shapes import RectangleRobot
+from plr_jax.robots.robot import RectangleRobot
 from plr_jax.spaces import CostMap
 from plr_jax.spaces._sparse_table import SparseTable
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from plr_jax._cores import answered_in_parts
+from plr_jax._compiled import answered_in_parts
 from plr_jax.geometry.workspace import Workspace
 
 _NEAR = 16  # facilities among which a demand point looks for its nearest while these move a little

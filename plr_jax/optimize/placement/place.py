@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
-from plr_jax._pytree import as_pytree
+from plr_jax._compiled import as_pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_slopes, soft_pulls

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, as_number, as_numbers, padded, padded_size, require_integer
+from plr_jax._compiled import as_pytree
 from plr_jax._problem import Problem, makespan, path_cost
-from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike, DimensionedFn
 from plr_jax._validate import validate
 from plr_jax.optimize.trajectory.clearance import outlines_of, padded_boundary

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace

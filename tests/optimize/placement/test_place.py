@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax import Placement, VisibilityGraph, Workspace, construct_pairs, place, scenes
-from plr_jax._pytree import as_pytree
+from plr_jax._compiled import as_pytree
 from plr_jax.optimize import OptimizationInterrupted
 from plr_jax.optimize.placement import place as driver
 from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_slopes, soft_pulls
