@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from plr_jax import DistanceFn, VisibilityGraph, construct_grid_pairs, construct_many, scenes
+from plr_jax import BuildOptions, DistanceFn, VisibilityGraph, construct_grid_pairs, construct_many, scenes
 from plr_jax._types import Distances, Points
 
 GOAL_SEED = 13
@@ -45,10 +45,11 @@ def family(scene: str, num_goals: int, seed: int) -> list[VisibilityGraph]:
     return [first, *(first.with_goal(goal) for goal in goals[1:])]
 
 
-def files_of(oracles: list[DistanceFn], scene: str, leaf: str, max_bytes: int, **how: Any) -> list[bytes]:
-    """Files of the PLRs of oracles."""
-    domain = getattr(scenes, scene)().workspace.bounds
-    return [plr.to_bytes() for plr in construct_many(oracles, domain, leaf=leaf, max_bytes=max_bytes, **how)]
+def files_of(oracles: list[DistanceFn], scene: str, leaf: str, max_bytes: int, **work: Any) -> list[bytes]:
+    """Return the files of the PLRs of oracles, built by an ``executor`` or with a ``checkpoint``."""
+    domain, options = getattr(scenes, scene)().workspace.bounds, BuildOptions(**work)
+    plrs = construct_many(oracles, domain, leaf=leaf, max_bytes=max_bytes, options=options)
+    return [plr.to_bytes() for plr in plrs]
 
 
 def build(scene: str, leaf: str, num_goals: int, max_bytes: int, seed: int, checkpoint: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments._runner import run
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, VisibilityGraph, construct, construct_many, scenes, stack
+from plr_jax import PLR, BuildOptions, VisibilityGraph, construct, construct_many, scenes, stack
 from plr_jax._compiled import num_cores
 
 GOAL_SEED, POINT_SEED = 11, 12
@@ -45,7 +45,9 @@ def _measure(
     begin = time.perf_counter()
     oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
     with ProcessPoolExecutor(num_cores(), get_context("spawn")) as processes:
-        plrs = construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=max_bytes, executor=processes)
+        plrs = construct_many(
+            oracles, workspace.bounds, leaf="cone", max_bytes=max_bytes, options=BuildOptions(executor=processes)
+        )
     seconds = time.perf_counter() - begin
     alone_cpu = time.process_time()
     alone = [construct(oracle, workspace.bounds, leaf="cone", max_bytes=max_bytes) for oracle in oracles[:num_alone]]

@@ -5,7 +5,18 @@ from pathlib import Path
 from typing import Any
 
 from experiments._runner import run
-from plr_jax import PLR, Box, Euclidean, construct, cyclic_axis, from_bytes, maximum_depth, metrics, plot
+from plr_jax import (
+    PLR,
+    Box,
+    BuildOptions,
+    Euclidean,
+    construct,
+    cyclic_axis,
+    from_bytes,
+    maximum_depth,
+    metrics,
+    plot,
+)
 
 DEPTH = 6
 
@@ -13,9 +24,8 @@ DEPTH = 6
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     domain = Box((0.0, 0.0), (1.0, 1.0))
     oracle = Euclidean((0.0, 0.0))
-    plr = construct(
-        oracle, domain, should_split=maximum_depth, split=cyclic_axis, max_depth=4 if smoke else DEPTH, seed=seed
-    )
+    options = BuildOptions(should_split=maximum_depth, split=cyclic_axis)
+    plr = construct(oracle, domain, max_depth=4 if smoke else DEPTH, seed=seed, options=options)
     points = domain.grid(64 if smoke else 1024).reshape(-1, 2)
     report = metrics.error_map(plr, oracle, points)
     return {

@@ -19,6 +19,7 @@ from PIL import Image
 
 from experiments._runner import run
 from plr_jax import (
+    BuildOptions,
     Roadmap,
     VisibilityGraph,
     Workspace,
@@ -49,10 +50,9 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         paper = construct(
             oracle,
             workspace.bounds,
-            should_split=maximum_depth,
-            split=cyclic_axis,
             max_depth=5 if smoke else 9,
             seed=seed,
+            options=BuildOptions(should_split=maximum_depth, split=cyclic_axis),
         )
         ours = construct(oracle, workspace.bounds, max_bytes=256 if smoke else MAX_BYTES, seed=seed)
         for configuration, plr in (("axes in turn, depth 9", paper), ("best axis", ours)):

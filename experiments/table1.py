@@ -14,7 +14,18 @@ from jaxtyping import Int
 from tqdm import tqdm
 
 from experiments._runner import run
-from plr_jax import CellFit, Problem, Roadmap, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
+from plr_jax import (
+    BuildOptions,
+    CellFit,
+    Problem,
+    Roadmap,
+    VisibilityGraph,
+    construct,
+    cyclic_axis,
+    maximum_depth,
+    metrics,
+    scenes,
+)
 
 NUM_POINTS = 1_000_000
 NUM_ROADMAP_SAMPLES = 10_000
@@ -36,11 +47,11 @@ def cyclic_axis_from_y(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 def papers_own(depth: int) -> dict[str, dict[str, Any]]:
     """The paper's configuration, with either axis first."""
-    in_turn = {"should_split": maximum_depth, "max_depth": depth}
-    return {
-        f"axes in turn, depth {depth}": {**in_turn, "split": cyclic_axis},
-        f"axes in turn from y, depth {depth}": {**in_turn, "split": cyclic_axis_from_y},
-    }
+    in_turn, from_y = (
+        {"max_depth": depth, "options": BuildOptions(should_split=maximum_depth, split=split)}
+        for split in (cyclic_axis, cyclic_axis_from_y)
+    )
+    return {f"axes in turn, depth {depth}": in_turn, f"axes in turn from y, depth {depth}": from_y}
 
 
 def ours(*budgets: int) -> dict[str, dict[str, Any]]:
@@ -55,7 +66,7 @@ def cones(*budgets: int) -> dict[str, dict[str, Any]]:
 
 def smoothed(budget: int) -> dict[str, dict[str, Any]]:
     """For a noisy oracle: samples from a quarter of a cell's width around it average the noise of the roadmap."""
-    return {f"best axis, margin 1/4, {budget:,} bytes": {"max_bytes": budget, "margin": 0.25}}
+    return {f"best axis, margin 1/4, {budget:,} bytes": {"max_bytes": budget, "options": BuildOptions(margin=0.25)}}
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:

@@ -56,6 +56,7 @@ from .planners import straight_line as straight_line
 from .planners import sum_of_distances as sum_of_distances
 from .planners import zero as zero
 from .plr import PLR as PLR
+from .plr import BuildOptions as BuildOptions
 from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
 from .plr import NumpyPLR as NumpyPLR

@@ -42,7 +42,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         space_information: OMPL's ``SpaceInformation``, of whose space the distance is what motions cost.
         plr: A PLR of these costs to the goal of which something is proven, such as one built with ``certified=True``:
             of what a motion costs at least, so that one of points may serve a body that turns. Leaf bounds
-            (``leaf_bounds=True``) make it a closer heuristic.
+            (``certified="leaves"``) make it a closer heuristic.
         coordinates: The point of the PLR's domain at which a state is. None: the first coordinates of a state of a
             ``RealVectorStateSpace``, or place and, for a PLR of three dimensions, heading in a ``SE2StateSpace``.
 

@@ -63,7 +63,9 @@ def test_a_roadmap_is_summarized_with_less_error_than_its_own():
     exact = plr_jax.VisibilityGraph(workspace, goal)
     roadmap = plr_jax.Roadmap.from_workspace(workspace, goal, 10_000)
     # Samples from around a cell average the roadmap's noise.
-    plr = plr_jax.construct(roadmap, workspace.bounds, max_bytes=1536, margin=0.25, num_samples=96)
+    plr = plr_jax.construct(
+        roadmap, workspace.bounds, max_bytes=1536, options=plr_jax.BuildOptions(margin=0.25, num_samples=96)
+    )
     x = workspace.sample_free(30_000, seed=0)
     own, ours = np.abs(roadmap(x) - exact(x)), np.abs(np.asarray(plr(x)) - exact(x))
     assert ours.max() < own.max() and ours.max() <= 0.134

@@ -15,7 +15,7 @@ geometric = pytest.importorskip("ompl.geometric")
 def maze():
     problem = scenes.maze()
     oracle = VisibilityGraph(problem.workspace, problem.goals[0])
-    plr = construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=512, certified=True, leaf_bounds=True)
+    plr = construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=512, certified="leaves")
     return problem, oracle, plr
 
 

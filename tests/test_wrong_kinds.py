@@ -6,6 +6,7 @@ import pytest
 from plr_jax import (
     BLOptions,
     Box,
+    BuildOptions,
     GridGraph,
     PointRobot,
     Problem,
@@ -34,7 +35,7 @@ def cone(x):
 
 
 def built(**options):
-    return construct(cone, UNIT, max_leaves=2, **options)
+    return construct(cone, UNIT, max_leaves=2, options=BuildOptions(**options))
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -49,6 +50,8 @@ def built(**options):
         (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),
         (lambda: built(margin="x"), "margin must be a fraction from 0 to 1 of a cell's width, got 'x'"),
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
+        (lambda: built(margin=-0.1), "margin must be a fraction from 0 to 1"),
+        (lambda: built(margin=np.inf), "margin must be a fraction from 0 to 1"),
         (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
         (lambda: sba_star_plan(scenes.maze(), zero(), time_limit=True), "time_limit must be positive, got True"),
         (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),

@@ -30,7 +30,7 @@ from experiments.benchmarks._rivals import (
     triangles,
 )
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, VisibilityGraph, construct, metrics, scenes
+from plr_jax import PLR, BuildOptions, VisibilityGraph, construct, metrics, scenes
 
 _DIMS = (2, 3, 4, 5, 6)
 _LEAVES = (64, 1_024, 16_384, 65_536)
@@ -80,7 +80,11 @@ def _cone(dim: int, leaves: int, seed: int) -> tuple[PLR, float]:
     begun = time.perf_counter()
     domain = (np.zeros(dim), np.ones(dim))
     plr = construct(
-        lambda x: np.linalg.norm(x - tip, axis=1), domain, max_leaves=leaves, num_samples=_SAMPLES, seed=seed
+        lambda x: np.linalg.norm(x - tip, axis=1),
+        domain,
+        max_leaves=leaves,
+        options=BuildOptions(num_samples=_SAMPLES),
+        seed=seed,
     )
     return plr, time.perf_counter() - begun
 
@@ -285,7 +289,9 @@ def _joint(num_points: int, turns: int, num_leaves: int, seed: int) -> dict[str,
         return np.hypot(first(q[:, :2]), second(q[:, 2:]))
 
     domain = (np.tile(workspace.bounds.lo, 2), np.tile(workspace.bounds.hi, 2))
-    plr = construct(distance, domain, max_leaves=num_leaves, num_samples=_SAMPLES_OF_JOINT, seed=seed)
+    plr = construct(
+        distance, domain, max_leaves=num_leaves, options=BuildOptions(num_samples=_SAMPLES_OF_JOINT), seed=seed
+    )
     rivals, skipped = make_all(
         {
             "Numba loop, one core": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=False)),

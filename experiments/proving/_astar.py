@@ -84,7 +84,7 @@ def _problems(
     exact, domain = oracle.with_goal(grid.points[goal]), oracle.workspace.bounds
     heuristics = {"straight line": np.linalg.norm(grid.points - grid.points[goal], axis=1)}
     for leaf in _LEAVES:
-        options = {"leaf": leaf, "max_bytes": BUDGETS[name], "certified": True, "leaf_bounds": True}
+        options = {"leaf": leaf, "max_bytes": BUDGETS[name], "certified": "leaves"}
         plr = construct(exact, domain, seed=seed, **options)
         lower = np.asarray(plr.lower(grid.points), float)
         heuristics[f"{leaf}, lower"] = lower

@@ -122,7 +122,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
 
 def certified(oracle: Any, workspace: Workspace, budget: int, seed: int) -> dict[str, PLR]:
     """PLRs with bounds of every leaf."""
-    options = {"max_bytes": budget, "certified": True, "leaf_bounds": True, "seed": seed}
+    options = {"max_bytes": budget, "certified": "leaves", "seed": seed}
     return {leaf: construct(oracle, workspace.bounds, leaf=leaf, **options) for leaf in LEAVES}
 
 
@@ -246,7 +246,7 @@ Ring = Float[np.ndarray, "n 2"]
 def slivers(seed: int, smoke: bool) -> dict[str, Any]:
     num_maps, points = (2, 5_000) if smoke else (MAPS, SLIVER_POINTS)
     totals: dict[str, dict[str, Any]] = {leaf: {"maps": 0, "points": 0, **NO_VIOLATIONS} for leaf in LEAVES}
-    options = {"max_bytes": BUDGET, "certified": True, "leaf_bounds": True}
+    options = {"max_bytes": BUDGET, "certified": "leaves"}
     examples, refused = [], []
     for number in tqdm(range(num_maps), desc="slivers", disable=None):
         if not smoke:  # PLRs of other maps have tables of other shapes: hundreds of compiled queries otherwise

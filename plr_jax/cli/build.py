@@ -112,7 +112,7 @@ def build(
         if box is not None or enclosed is not None:
             raise ValueError(f"--box and --enclosed are for volumes, and {map} is none: leave them out.")
         oracle, bounds, named = _prepare(named)
-        limits |= {"leaf": leaf, "certified": True, "leaf_bounds": leaf_bounds, "max_depth": max_depth}
+        limits |= {"leaf": leaf, "certified": "leaves" if leaf_bounds else True, "max_depth": max_depth}
         plr, interrupted = _build(named, plr_jax.construct, oracle, bounds, bounds, max_bytes, limits)
     seconds = time.perf_counter() - began
     plr_jax.save(plr, output)

@@ -12,9 +12,8 @@ from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.best_first import best_axis, largest_error
-from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import CornerLeafModel, Rules
+from plr_jax.plr.leaves.base import CornerLeafModel, Rules, check_limits
 from plr_jax.plr.partition.cells import PLACING, Cells, Tree, corner_bits, levels_of, tree_of
 from plr_jax.plr.partition.faces import overlapping_leaves
 from plr_jax.plr.sampling.cell_fit import Sampler, least_squares, sample_pattern
@@ -43,8 +42,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     """The best partition whose file has at most so many bytes, grown from the estimate."""
     model, domain = _model(), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
-    unit, frame = (model.least_bytes, False, model.bytes_without_budget), frame_size(domain)
-    limits = check_limits(domain.dim, *unit, None, None, max_bytes, None, proof, frame)
+    limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain))
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)

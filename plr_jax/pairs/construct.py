@@ -20,7 +20,9 @@ from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest
 from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.limits import Limits, check_limits, grow
+from plr_jax.plr.growth.limits import Limits, grow
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.partition.cells import Cells, levels_of
 
 # The outline of a workspace on the widest lattice that holds it.
@@ -276,7 +278,7 @@ def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     frame = frame_size(workspace.bounds)
-    return check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE, frame)
+    return check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame)
 
 
 def require_bytes(size: int, limits: Limits) -> None:

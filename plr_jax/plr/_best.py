@@ -1,11 +1,10 @@
-"""``leaf="best"``: leaves of the models that may serve a distance function best, of which those that err least."""
+"""``leaf="best"``: build the leaf models that may serve a distance function, and keep the one that errs least."""
 
 import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
 
 import numpy as np
 from tqdm import tqdm
@@ -14,6 +13,7 @@ from plr_jax._arrays import as_distances
 from plr_jax._types import ArrayLike, CellSources, CellwiseFn, DistanceFn, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, encode
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import SourcedLeafModel
@@ -22,28 +22,15 @@ from plr_jax.plr.portable.numpy import NumpyPLR
 
 BEST = "best"
 _MOST_TIED_AXES = 6
-_CROWDED, _BYTES_A_SOURCE = 4, 7
-"""Times the budget that all corners may take where leaves that name them are tried, and bytes of one."""
+# Cones are tried if all corners take at most this many times the budget.
+_CROWDED = 4
+_BYTES_A_SOURCE = 7
 _ERROR_POINTS = 4096
-
-_Built = TypeVar("_Built")
-
-
-@dataclass(frozen=True, eq=False)
-class Best:
-    """The leaves that err least, the error of each model that was built, and whether that was interrupted.
-
-    Errors are the largest, as proven; where nothing is, the mean at points of the domain, NaN of a single model.
-    """
-
-    contents: Contents
-    errors: dict[str, float]
-    is_interrupted: bool
 
 
 @dataclass(frozen=True, eq=False)
 class _OracleOfBox:
-    """An oracle that finds once what it says of a box as one cell, for all leaf models that are tried."""
+    """An oracle that finds what it says of a box, as one cell, once for all leaf models that are tried."""
 
     oracle: CellwiseFn
     box: Box
@@ -64,89 +51,92 @@ class _OracleOfBox:
 
 
 def best_leaves(
-    construct: Callable[..., Contents],
+    build: Callable[[str, DistanceFn], Contents],
     distance_fn: DistanceFn,
     domain: Box,
-    *,
-    leaf: str = BEST,
-    what: str = "construct",
-    **options: Any,
-) -> Best:
-    """Leaves of one model, or those that err least of all that may serve.
+    proof: Proof,
+    max_bytes: int | None,
+    only_bytes: bool,
+    seed: int,
+) -> tuple[Contents, bool]:
+    """Build leaves of all models that may serve, and return those that err least.
 
-    Those that cannot be built are left out; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what is
-    being built and leaves the rest untried. A terminal shows how many models of ``what`` are done, and which is being
-    built.
+    Args:
+        build: Function of a model's name and an oracle that builds leaves. Models for which it raises ``ValueError``
+            are left out.
+        distance_fn: The distance function.
+        domain: The box to cover.
+        proof: Kind of proof. With a proof the largest proven errors are compared, else mean errors at random points.
+        max_bytes: The budget, as the caller gave it.
+        only_bytes: Whether neither the number of leaves nor the depth is limited.
+        seed: Seed of the random points.
+
+    Returns:
+        The leaves, and whether an interrupt (Ctrl-C) ended the search early.
+
+    Raises:
+        ValueError: If no model can be built.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         distance_fn = _OracleOfBox(distance_fn, grown_domain(domain))
-    is_certified = bool(options.get("certified"))
-    names = _tried(distance_fn, domain, is_certified, options) if leaf == BEST else [leaf]
-    best, least, errors, refused, is_interrupted = None, math.inf, {}, [], False
-    with tqdm(names, what, unit=" models", leave=False, disable=None) as progress:
+    names = _models_to_try(distance_fn, domain, proof, max_bytes, only_bytes)
+    best, least, refused = None, math.inf, []
+    with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
         for name in progress:
-            progress.set_description(f"{what}: leaves of kind {name!r}")
+            progress.set_description(f"construct: leaves of kind {name!r}")
+            is_interrupted, error = False, 0.0
             try:
-                contents, is_interrupted = constructed(construct, distance_fn, domain, leaf=name, **options)
-            except ValueError as error:  # as of a budget that is too small for one leaf of this model
-                refused.append(error)
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always", ConstructionInterrupted)
+                    contents = build(name, distance_fn)
+            except ValueError as refusal:  # for example, a budget that is too small for one leaf of this model
+                refused.append(refusal)
                 continue
             except KeyboardInterrupt:
                 if best is None:
                     raise
-                is_interrupted = True
-                break
-            errors[name] = math.nan
-            if is_certified:
-                proof = contents.certificate
-                errors[name] = math.inf if proof is None else proof.max_error  # there is none of what was interrupted
+                return best, True
+            for warning in caught:
+                if issubclass(warning.category, ConstructionInterrupted):
+                    is_interrupted = True
+                else:
+                    warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+            if proof is not Proof.NONE:  # an interrupted build has no certificate
+                error = math.inf if contents.certificate is None else contents.certificate.max_error
             elif len(names) > 1:
                 try:
-                    errors[name] = _mean_error(contents, distance_fn, options["seed"])
+                    error = _mean_error(contents, distance_fn, seed)
                 except KeyboardInterrupt:
-                    is_interrupted = True
-            if best is None or errors[name] < least:
-                best, least = contents, errors[name]
+                    is_interrupted, error = True, math.nan
+            if best is None or error < least:
+                best, least = contents, error
             if is_interrupted:
-                break
+                return best, True
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
-    return Best(best, errors, is_interrupted)
+    return best, False
 
 
-def _tried(distance_fn: DistanceFn, domain: Box, is_certified: bool, options: dict[str, Any]) -> list[str]:
-    """The leaf models to choose from: cones alone where all corners have room, all but these where few have.
+def _models_to_try(
+    distance_fn: DistanceFn, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
+) -> list[str]:
+    """Return names of leaf models: cones alone where all corners have room, all but cones where few have room.
 
     On all maps of the experiments cones with that room err ten to a thousand times less on average than the others.
-    Of the others all are tried for the least proven error, of which no rule is known. On average continuous ones err
-    less than planes, and about as much as smooth ones, which take longer to build and to query.
+    Of the other models all are tried for the least proven error. On average continuous leaves err less than planes,
+    and about as much as smooth leaves, which take longer to build and to query.
     """
-    sourced = [name for name in leaf_names() if isinstance(leaf_model(name), SourcedLeafModel)]
-    others = [name for name in leaf_names() if name not in sourced]
-    if not is_certified:
+    cones = [name for name in leaf_names() if isinstance(leaf_model(name), SourcedLeafModel)]
+    others = [name for name in leaf_names() if name not in cones]
+    if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
     if not isinstance(distance_fn, _OracleOfBox):
         return others
-    of_corners = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
-    max_bytes = options.get("max_bytes")
-    share = of_corners / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
-    if share <= 1 and options.get("max_leaves") is options.get("max_depth") is None:
-        return sourced
-    return [name for name in leaf_names() if name in others or (name in sourced and share <= _CROWDED)]
-
-
-def constructed(construct: Callable[..., _Built], *args: Any, **options: Any) -> tuple[_Built, bool]:
-    """What a function builds, and whether that was interrupted, of which there is no other warning."""
-    is_interrupted = False
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ConstructionInterrupted)
-        built = construct(*args, **options)
-    for warning in caught:
-        if issubclass(warning.category, ConstructionInterrupted):
-            is_interrupted = True
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    return built, is_interrupted
+    corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
+    share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
+    if share <= 1 and only_bytes:
+        return cones
+    return [name for name in leaf_names() if name in others or (name in cones and share <= _CROWDED)]
 
 
 def _mean_error(contents: Contents, distance_fn: DistanceFn, seed: int) -> float:

@@ -1,9 +1,7 @@
 """Building many PLRs: those of one workspace's goals together, all others one by one, on all cores."""
 
-import os
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,17 +14,16 @@ from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._chunks import Chunk, Done
-from plr_jax.plr._construct import construct, proof_of
+from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr._plr import deferred_plr
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
+from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves
+from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves, check_limits
 from plr_jax.plr.partition.cells import grown_domain
-from plr_jax.plr.sampling.asked import as_executor
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
 
@@ -36,81 +33,69 @@ def construct_many(
     domain: Box | tuple[ArrayLike, ArrayLike],
     *,
     leaf: LeafModel | str = "plane",
-    max_depth: int | None = None,
-    max_leaves: int | None = None,
     max_bytes: int | None = None,
+    max_leaves: int | None = None,
+    max_depth: int | None = None,
     tolerance: int | float | None = None,
-    certified: bool = False,
-    leaf_bounds: bool = False,
+    certified: bool | str = False,
     seed: int = 0,
-    executor: Executor | None = None,
-    checkpoint: str | os.PathLike | None = None,
+    options: BuildOptions = DEFAULT_OPTIONS,
 ) -> list[Any]:
-    """Build a PLR of each of many distance functions, as one for every goal of a fleet.
+    """Build a PLR of each of many distance functions, for example one for every goal of a fleet.
 
-    Cones of goals of one workspace, whose oracles :meth:`VisibilityGraph.with_goal` made of one another, are built
-    together: what corners see is found once, and cells that are alike for several goals are looked at once. Their
-    PLRs err about as much as those that :func:`construct` builds, but are not the same: cells are not looked at whose
-    halves the other way are better, and none larger than about eight times an average leaf is a leaf unless one
-    source serves all of it.
-    All others are what :func:`construct` builds, one by one.
+    Cones of goals of one workspace, whose oracles :meth:`VisibilityGraph.with_goal` made of one another, are a family
+    and are built together. Their PLRs err about as much as those that :func:`construct` builds, but are not the same:
+    fewer partitions are tried, and a cell larger than about eight times an average leaf is a leaf only if one source
+    serves all of it. All other PLRs are what :func:`construct` builds, one by one.
 
     Args:
         oracles: The distance functions, of any kind.
         domain: The box to cover, a ``Box`` or its two corners, the same for all.
-        leaf: As for :func:`construct`.
-        max_depth: As for :func:`construct`, of each PLR, as are the other limits.
+        leaf: As for :func:`construct`, but not ``"best"``.
+        max_bytes: As for :func:`construct`, of each PLR, as are the other limits.
         max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
+        max_depth: Largest number of splits between the root and a leaf.
         tolerance: Cells of errors up to this are not split.
-        certified: Whether to prove a bound of the largest error of each.
-        leaf_bounds: Whether the proofs have bounds of every leaf, instead of classes of leaves.
-        seed: Seed of the samples' scrambling. The same seed gives the same files, whatever the executor.
-        executor: What runs the parts, of 64 members of a family or one PLR each: threads, processes, a cluster's,
-            such as Dask's ``Client.get_executor()``. Of processes, the distance functions must be picklable. What a
-            pool did not finish because a worker died is built here, by threads. None: threads, one a core.
-        checkpoint: A file in which PLRs are kept as their parts are done. Called again with the same arguments, it
-            goes on with what is left, even if the process was killed, to the same PLRs, and in the end to the same
-            file, byte for byte. Distance functions are known by what they say of 256 points. None: none.
+        certified: Whether to prove a bound of the largest error of each, as for :func:`construct`.
+        seed: Seed of the samples. The same seed gives the same files, whatever the executor.
+        options: As for :func:`construct`; two of them differ. The ``executor`` runs parts of 64 members of a family,
+            or of one PLR each: threads, processes or a cluster's, such as Dask's ``Client.get_executor()``. If a
+            worker dies, threads of this process build what is left. None: threads, one a core. The ``checkpoint``
+            keeps whole PLRs. A call with the same arguments builds what is left, even if the process was killed, and
+            in the end the checkpoint is the same, byte for byte.
 
     Returns:
-        The PLRs, in the order of the distance functions. Their tables are made when they are first queried. If
-        interrupted (Ctrl-C), those that are done, with None for the others and a ``ConstructionInterrupted`` warning.
+        The PLRs, in the order of the distance functions. Their tables are made when they are first queried. After an
+        interrupt (Ctrl-C), None stands for PLRs that are not done, with a ``ConstructionInterrupted`` warning.
 
     Raises:
         ValueError: If there are no distance functions, the checkpoint is of other work, or as for :func:`construct`.
         OSError: If the checkpoint cannot be read or written.
     """
-    oracles, domain, model = _as_functions(oracles), Box.of(domain), leaf_model(leaf)
+    oracles, domain, model, proof = _as_functions(oracles), Box.of(domain), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
-    executor = as_executor(executor)
-    options: dict[str, Any] = {
-        "leaf": leaf,
-        "max_depth": max_depth,
-        "max_leaves": max_leaves,
-        "max_bytes": max_bytes,
-        "tolerance": tolerance,
-        "certified": certified,
-        "leaf_bounds": leaf_bounds,
-        "seed": seed,
-    }
-    limits = check_limits(
-        domain.dim,
-        model.least_bytes,
-        model.has_deep_trees or certified,
-        model.bytes_without_budget,
-        max_depth,
-        max_leaves,
-        max_bytes,
-        tolerance,
-        proof_of(certified, leaf_bounds),
-        frame_size(domain),
-    )
+    executor, checkpoint = options.executor, options.checkpoint
+    options = replace(options, executor=None, checkpoint=None)
+    limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited
-    options_digested = f"{model} {limits} {int(seed)}"
-    kept = None if checkpoint is None else Checkpoint(checkpoint, digest_of(oracles, domain, options_digested))
+    as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited and options == DEFAULT_OPTIONS
+    kept = None
+    if checkpoint is not None:
+        rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
+        kept = Checkpoint(checkpoint, digest_of(oracles, domain, f"{model} {limits} {int(seed)}{rules}"))
+    alone = partial(
+        construct,
+        domain=domain,
+        leaf=leaf,
+        max_bytes=max_bytes,
+        max_leaves=max_leaves,
+        max_depth=max_depth,
+        tolerance=tolerance,
+        certified=certified,
+        seed=seed,
+        options=options,
+    )
     done = Done.of(len(oracles), kept)
     families: dict[int, list[int]] = {}
     for number in (number for number, file in enumerate(done.results) if file is None):
@@ -125,7 +110,7 @@ def construct_many(
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
             chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
-            chunks.append(Chunk(numbers, partial(_file_alone, first, domain, options)))
+            chunks.append(Chunk(numbers, partial(_file_alone, alone, first)))
     with tqdm(
         desc="construct_many",
         unit=" PLRs",
@@ -177,5 +162,5 @@ class _Family:
         return files
 
 
-def _file_alone(oracle: DistanceFn, domain: Box, options: dict[str, Any]) -> list[bytes]:
-    return [construct(oracle, domain, **options).to_bytes()]
+def _file_alone(build: Callable[[DistanceFn], Any], oracle: DistanceFn) -> list[bytes]:
+    return [build(oracle).to_bytes()]

@@ -463,9 +463,12 @@ def deferred_plr(data: bytes) -> PLR:
     return plr
 
 
-def plr_of_leaves(contents: Contents) -> PLR:
-    """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
-    return assembled(encode(contents), contents)
+def plr_of_leaves(contents: Contents, origin: Origin | None = None) -> PLR:
+    """Return the PLR that the file of these leaves gives, bit for bit, without reading the file."""
+    plr = assembled(encode(contents), contents)
+    if origin is not None:
+        vars(plr)["_origin"] = origin
+    return plr
 
 
 def with_stored(plr: PLR, stored: Any) -> PLR:

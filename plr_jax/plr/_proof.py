@@ -13,8 +13,8 @@ from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.limits import BudgetTooSmall, check_limits
-from plr_jax.plr.leaves.base import FamilyLeafModel, ProvenLeaves
+from plr_jax.plr.growth.limits import BudgetTooSmall
+from plr_jax.plr.leaves.base import FamilyLeafModel, ProvenLeaves, check_limits
 from plr_jax.plr.partition.cells import tree_of_levels
 from plr_jax.plr.sampling.cell_memory import sources_down
 
@@ -148,9 +148,8 @@ def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, lab
     of_label, max_bytes = frame_size(domain, label=label) - frame, origin.max_bytes
     if max_bytes is not None and (max_bytes := max_bytes - of_label) < 1:
         raise ValueError(f"max_bytes={origin.max_bytes} leaves no room beside the label, of {of_label} bytes.")
-    unit = model.least_bytes, model.has_deep_trees, model.bytes_without_budget
     of_origin = origin.max_leaves, max_bytes, origin.tolerance
-    limits = check_limits(domain.dim, *unit, None, *of_origin, certificate.proof, frame)
+    limits = check_limits(model, domain.dim, None, *of_origin, certificate.proof, frame)
     tree, bounds = tree_of_levels(contents.levels, domain.dim), origin.bounds
     if bounds is None:
         lower, upper = np.broadcast_to(certificate.bounds(), (2, len(contents.cells))).astype(np.float64)

@@ -18,7 +18,7 @@ from experiments.benchmarks._rivals import (
     sixteen_bit_grid,
     triangles,
 )
-from plr_jax import VisibilityGraph, Workspace, construct, scenes
+from plr_jax import BuildOptions, VisibilityGraph, Workspace, construct, scenes
 
 WALL = Workspace(((0, 0), (1, 1)), [[(0.45, 0), (0.55, 0), (0.55, 0.8), (0.45, 0.8)]])
 EXACT = VisibilityGraph(WALL, (0.2, 0.3))
@@ -29,7 +29,12 @@ def test_numba_loop_answers_what_the_plr_answers(dim, limit, two_levels):
     pytest.importorskip("numba")
     tip = np.linspace(-1.3, 2.1, dim)
     domain = (np.full(dim, -3.0), np.linspace(2, 5, dim))
-    plr = construct(lambda x: np.linalg.norm(x - tip, axis=1) ** 0.5, domain, num_samples=32, max_leaves=limit)
+    plr = construct(
+        lambda x: np.linalg.norm(x - tip, axis=1) ** 0.5,
+        domain,
+        max_leaves=limit,
+        options=BuildOptions(num_samples=32),
+    )
     assert (plr.tables.blocks is not None) == two_levels
     x = np.random.default_rng(0).uniform(-4, 5.5, (20_000, dim)).astype(np.float32)
     expected = np.asarray(plr(x))

@@ -7,7 +7,17 @@ import pytest
 
 from experiments import table1
 from experiments._runner import RESULTS
-from plr_jax import Box, Euclidean, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
+from plr_jax import (
+    Box,
+    BuildOptions,
+    Euclidean,
+    VisibilityGraph,
+    construct,
+    cyclic_axis,
+    maximum_depth,
+    metrics,
+    scenes,
+)
 
 ROWS = [
     row
@@ -37,5 +47,5 @@ def test_table1_has_the_bytes_and_errors_of_this_code(measured):
 def test_fig1_is_of_the_file_of_this_code():
     results = json.loads((RESULTS / "fig1.json").read_text())["results"]
     cone = Euclidean((0.0, 0.0)), Box((0.0, 0.0), (1.0, 1.0))
-    plr = construct(*cone, should_split=maximum_depth, split=cyclic_axis, max_depth=6)
+    plr = construct(*cone, max_depth=6, options=BuildOptions(should_split=maximum_depth, split=cyclic_axis))
     assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes

@@ -10,9 +10,10 @@ from plr_jax.geometry.corners import corner_visibility
 from plr_jax.pairs.construct import grow_lists, lattice_step
 from plr_jax.pairs.visible_corners import visible_corners
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth.limits import check_limits
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import check_limits
 
-LIMITS = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, 10_000, None, Proof.NONE, 13)
+LIMITS = check_limits(leaf_model("cone"), 2, None, None, 10_000, None, Proof.NONE, 13)
 
 
 def test_a_smaller_budget_gives_a_coarser_partition_and_the_same_the_same_bytes():

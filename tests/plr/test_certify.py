@@ -7,7 +7,7 @@ import pytest
 from piece_helpers import WORKSPACES, box
 from plr_helpers import UNIT, cone
 
-from plr_jax import scenes
+from plr_jax import BuildOptions, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
@@ -98,7 +98,7 @@ def test_bounds_hold_among_slivers_contacts_and_parts_that_are_cut_off(leaf, kin
     goal = workspace.sample_free(1, 0)[0] if number < 2 else workspace.boundary.vertices[7]
     domain = Box((-3, -1), (12, 14)) if number in (1, 2) else Box((1.3, 1.9), (9.1, 8))
     oracle = VisibilityGraph(workspace, goal)
-    plr = construct(oracle, domain, leaf=leaf, max_leaves=40, certified=True, leaf_bounds=number % 2 == 1)
+    plr = construct(oracle, domain, leaf=leaf, max_leaves=40, certified="leaves" if number % 2 else True)
     check_bounds(plr, oracle)
 
 
@@ -124,7 +124,7 @@ def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
 
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
-    plr = construct(maze, UNIT, leaf=leaf, max_bytes=450, certified=True, leaf_bounds=True)
+    plr = construct(maze, UNIT, leaf=leaf, max_bytes=450, certified="leaves")
     assert plr.num_bytes <= 450
     assert certify(plr, maze, leaf_bounds=True).to_bytes() == plr.to_bytes()
     assert plr.bounds(np.array([0.5, 0.9]))[0].shape == ()
@@ -132,7 +132,9 @@ def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
 
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 def test_certified_construction_with_samples_beyond_their_cells(leaf, maze):
-    check_bounds(construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, margin=0.2), maze)
+    check_bounds(
+        construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, options=BuildOptions(margin=0.2)), maze
+    )
 
 
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
@@ -164,7 +166,7 @@ SMALL.append((box(0.4 - 2.5e-9, 0.4 - 4e-6, 0.4 + 2.5e-9, 0.4 + 4e-6), (0.4 - 1e
 def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
     """However little of a cell's area they take: who is behind one has to go around it."""
     oracle = VisibilityGraph(Workspace(UNIT, [wall]), goal)
-    plr = construct(oracle, UNIT, leaf=leaf, max_bytes=512, certified=True, leaf_bounds=True)
+    plr = construct(oracle, UNIT, leaf=leaf, max_bytes=512, certified="leaves")
     rng, size = np.random.default_rng(0), 4 * np.abs(np.array(wall)[0] - goal).max()
     x = np.array(wall)[0] + size * np.column_stack([rng.random(20_000) ** 3, 2 * rng.random(20_000) - 1])
     check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf))
@@ -272,7 +274,10 @@ def test_an_open_room_is_exact():
         (lambda plr, maze: certify(construct(cone, Box([0], [1]), max_leaves=4), maze), "in the plane"),
         (lambda plr, maze: certify(maze, maze), "Only a PLR"),
         (lambda plr, maze: construct(maze, UNIT, certified="yes"), "certified must be True or False"),
-        (lambda plr, maze: construct(maze, UNIT, leaf_bounds=True), "leaf_bounds=True needs certified=True"),
+        (
+            lambda plr, maze: construct(maze, UNIT, certified="cells"),
+            "certified must be True, False or 'leaves', got 'cells'",
+        ),
     ],
 )
 def test_what_cannot_be_proven_is_refused(call, message, maze):

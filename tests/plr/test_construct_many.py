@@ -26,8 +26,10 @@ def oracles():
     return [first, *(first.with_goal(goal) for goal in MAZE.sample_free(6, seed=4)[:4])]
 
 
-def many(oracles, **options):
-    return plr_jax.construct_many(oracles, MAZE.bounds, **(options if "leaf" in options else CONES | options))
+def many(oracles, executor=None, checkpoint=None, **limits):
+    limits = limits if "leaf" in limits else CONES | limits
+    work = plr_jax.BuildOptions(executor=executor, checkpoint=checkpoint)
+    return plr_jax.construct_many(oracles, MAZE.bounds, **limits, options=work)
 
 
 def files_of(plrs):
@@ -84,7 +86,7 @@ def test_the_limits_hold(oracles):
 
 
 def test_certified_bounds_hold_the_distance(oracles):
-    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": True, "leaf_bounds": True, "max_bytes": 400}
+    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": "leaves", "max_bytes": 400}
     for plr, oracle in zip(many(oracles[:2], **options), oracles, strict=False):
         alone = plr_jax.construct(oracle, MAZE.bounds, **options)
         lower, upper = plr.bounds(x)

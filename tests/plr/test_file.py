@@ -22,7 +22,7 @@ from plr_helpers import (
     walled,
 )
 
-from plr_jax import Box, construct, from_bytes, load, load_numpy, save
+from plr_jax import Box, BuildOptions, construct, from_bytes, load, load_numpy, save
 from plr_jax.plr import Plane
 from plr_jax.plr import container as container_module
 from plr_jax.plr._file import decode, decode_cells, encode
@@ -50,7 +50,7 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("model", [Plane(coefficient_bits=16), Plane(coefficient_bits=5), "continuous", "smooth"])
 def test_what_is_built_is_what_its_file_holds_and_what_is_pickled(model, tmp_path):
-    plr = construct(walled, UNIT, leaf=model, max_bytes=200, num_samples=32)
+    plr = construct(walled, UNIT, leaf=model, max_bytes=200, options=BuildOptions(num_samples=32))
     (tmp_path / "a.plr").write_bytes(b"something else")
     save(plr, tmp_path / "a.plr")
     assert [path.name for path in tmp_path.iterdir()] == ["a.plr"]
@@ -90,9 +90,9 @@ def test_every_file_that_construct_writes_can_be_read(dim, grow):
     def split(fit):
         return np.argmax((fit.cells.depth < fit.max_axis_depth) * (1 + rng.random(fit.cells.depth.shape)), axis=1)
 
-    rules = {"max_leaves": 200, "num_samples": dim + 1, "should_split": should_split, "split": split}
-    domain = np.zeros(dim), np.ones(dim)
-    plr = construct(lambda x: np.sum((x - 0.01) ** 2, axis=1), domain, leaf=Plane(coefficient_bits=4), **rules)
+    options = BuildOptions(num_samples=dim + 1, should_split=should_split, split=split)
+    limits = {"domain": (np.zeros(dim), np.ones(dim)), "leaf": Plane(coefficient_bits=4), "max_leaves": 200}
+    plr = construct(lambda x: np.sum((x - 0.01) ** 2, axis=1), **limits, options=options)
     again = from_bytes(plr.to_bytes())
     assert again.num_leaves == plr.num_leaves > 15
     np.testing.assert_array_equal(again.tables.leaf_of_slot, plr.tables.leaf_of_slot)

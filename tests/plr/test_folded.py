@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plr_jax import Box, Dubins, Euclidean, ReedsShepp, construct
+from plr_jax import Box, BuildOptions, Dubins, Euclidean, ReedsShepp, construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.container import Container
 
@@ -69,7 +69,9 @@ def test_boxes_of_leaves_fill_the_domain():
 
 def test_weights_count_where_any_image_has_one():
     """Accuracy is asked for on one side of the goal alone, on which the window has an image of all that is stored."""
-    one_side = construct(*CASES["about"], max_leaves=40, weight_fn=lambda x: (x[:, 0] >= 0).astype(float))
+    one_side = construct(
+        *CASES["about"], max_leaves=40, options=BuildOptions(weight_fn=lambda x: (x[:, 0] >= 0).astype(float))
+    )
     assert one_side.to_bytes() == construct(*CASES["about"], max_leaves=40).to_bytes()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, random_contents, walled
 
-from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, certify, construct, from_bytes
+from plr_jax import Box, BuildOptions, Euclidean, VisibilityGraph, Workspace, certify, construct, from_bytes
 from plr_jax.plr._file import encode
 from plr_jax.plr._plr import leaf_of, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, Proof
@@ -99,7 +99,13 @@ def test_distances_around_are_those_by_brute_force(domain, goal, most, leaf):
         assert (~np.array(domain.periodic) | ((domain.lo <= x) & (x <= domain.hi))).all()
         return around(domain, goal, x)
 
-    plr = construct(distance, domain, leaf=leaf, max_leaves=200 * domain.dim, margin=0.3 if leaf == "plane" else 0)
+    plr = construct(
+        distance,
+        domain,
+        leaf=leaf,
+        max_leaves=200 * domain.dim,
+        options=BuildOptions(margin=0.3 if leaf == "plane" else 0),
+    )
     x = inside(domain, 2000)
     away = x + np.random.default_rng(1).integers(-3, 4, x.shape) * domain.width * domain.periodic
     assert np.abs(np.asarray(plr(away)) - around(domain, goal, x)).mean() < most

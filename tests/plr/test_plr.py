@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
-from plr_jax import PLR, Box, construct, save
+from plr_jax import PLR, Box, BuildOptions, construct, save
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.points import evaluate_points
 
@@ -75,7 +75,13 @@ def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
 
 @pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
 def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
-    plr = construct(cone, Box((-corner, -corner), (corner, corner)), leaf=leaf, max_leaves=20, num_samples=32)
+    plr = construct(
+        cone,
+        Box((-corner, -corner), (corner, corner)),
+        leaf=leaf,
+        max_leaves=20,
+        options=BuildOptions(num_samples=32),
+    )
     for dtype in (np.float32, np.float64):
         corners = np.array([[1, 1], [-1, -1], [1, -1]], dtype) * dtype(corner)
         np.testing.assert_allclose(plr(corners), corner * np.sqrt(2), rtol=0.05)
@@ -87,7 +93,7 @@ def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     lo, hi = np.full(2, lo), np.full(2, lo + width)
     if not (hi - lo > 100 * np.spacing(np.abs(hi))).all():
         return
-    plr = construct(lambda x: np.ones(len(x)), Box(lo, hi), max_leaves=1, num_samples=8)
+    plr = construct(lambda x: np.ones(len(x)), Box(lo, hi), max_leaves=1, options=BuildOptions(num_samples=8))
     corners = np.array([lo, hi, [lo[0], hi[1]], (lo + hi) / 2])
     np.testing.assert_array_equal(plr(corners), 1)
     np.testing.assert_array_equal(PLR.stack([plr])(corners[:, None]), 1)

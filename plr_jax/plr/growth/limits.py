@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_finite, require_integer
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import body_size
-from plr_jax.plr.frame import byte_class, max_axis_depth, rows_of_class
-from plr_jax.plr.partition.cells import MAX_DEPTH, Cells
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.cell_fit import CellFit
 
 DEFAULT_MAX_LEAVES = 512
@@ -69,52 +67,6 @@ class Limits:
         """Raise ``BudgetTooSmall`` if a file of one leaf, of so many bytes, is larger than ``max_bytes``."""
         if num_bytes > self.max_bytes:
             raise BudgetTooSmall(self.max_bytes, num_bytes)
-
-
-def check_limits(
-    dim: int,
-    least_bytes: int | float,
-    is_deep: bool,
-    bytes_without_budget: Callable[[int, int], int],
-    max_depth: int | None,
-    max_leaves: int | None,
-    max_bytes: int | None,
-    tolerance: int | float | None,
-    proof: Proof,
-    frame_bytes: int,
-) -> Limits:
-    """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
-    for name, value, least in (
-        ("max_depth", max_depth, 0),
-        ("max_leaves", max_leaves, 1),
-        ("max_bytes", max_bytes, 1),
-    ):
-        if value is not None:
-            require_integer(name, value, least)
-    if max_depth is not None and max_depth > MAX_DEPTH:
-        raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
-    if tolerance is not None:
-        as_finite("tolerance", tolerance)
-    if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
-        max_leaves = DEFAULT_MAX_LEAVES
-    max_bytes = None if max_bytes is None else int(max_bytes)
-    sizes = (max_bytes, None if max_leaves is None else bytes_without_budget(dim, int(max_leaves)))
-    table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
-    most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
-    if max_bytes is not None:
-        most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), least_bytes))
-    max_depth = MAX_DEPTH if max_depth is None else int(max_depth)
-    if tolerance is None:
-        check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
-    return Limits(
-        max_depth=max_depth,
-        max_axis_depth=max_axis_depth(dim, table_class, least_bytes, is_deep),
-        max_leaves=most_leaves,
-        max_bytes=np.inf if max_bytes is None else float(max_bytes),
-        tolerance=0.0 if tolerance is None else float(tolerance),
-        proof=proof,
-        frame_bytes=frame_bytes,
-    )
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:

@@ -7,16 +7,16 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import product_in_order
+from plr_jax._arrays import as_finite, product_in_order, require_integer
 from plr_jax._types import CellSources, ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr.certificate import LeafBounds
+from plr_jax.plr.certificate import LeafBounds, Proof
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.frame import Corner, is_far
+from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_of_class
 from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.partition.cells import Cells, Level, Tree
+from plr_jax.plr.growth.limits import DEFAULT_MAX_LEAVES, Limits, check_memory
+from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -328,6 +328,51 @@ def linear_mean_planes(
     ends = np.eye(dim)
     half = product_in_order(coefficients, (model.basis(ends) - model.basis(-ends)).T) / 2
     return product_in_order(coefficients, model.basis(np.zeros((1, dim))).T)[:, 0], half
+
+
+def check_limits(
+    model: LeafModel,
+    dim: int,
+    max_depth: int | None,
+    max_leaves: int | None,
+    max_bytes: int | None,
+    tolerance: int | float | None,
+    proof: Proof,
+    frame_bytes: int,
+) -> Limits:
+    """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
+    for name, value, least in (
+        ("max_depth", max_depth, 0),
+        ("max_leaves", max_leaves, 1),
+        ("max_bytes", max_bytes, 1),
+    ):
+        if value is not None:
+            require_integer(name, value, least)
+    if max_depth is not None and max_depth > MAX_DEPTH:
+        raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
+    if tolerance is not None:
+        as_finite("tolerance", tolerance)
+    if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
+        max_leaves = DEFAULT_MAX_LEAVES
+    max_bytes = None if max_bytes is None else int(max_bytes)
+    sizes = (max_bytes, None if max_leaves is None else model.bytes_without_budget(dim, int(max_leaves)))
+    table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
+    most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
+    if max_bytes is not None:
+        most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), model.least_bytes))
+    max_depth = MAX_DEPTH if max_depth is None else int(max_depth)
+    is_deep = model.has_deep_trees or proof in (Proof.CLASSES, Proof.LEAVES)
+    if tolerance is None:
+        check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
+    return Limits(
+        max_depth=max_depth,
+        max_axis_depth=max_axis_depth(dim, table_class, model.least_bytes, is_deep),
+        max_leaves=most_leaves,
+        max_bytes=np.inf if max_bytes is None else float(max_bytes),
+        tolerance=0.0 if tolerance is None else float(tolerance),
+        proof=proof,
+        frame_bytes=frame_bytes,
+    )
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:

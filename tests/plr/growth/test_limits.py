@@ -1,21 +1,24 @@
 import pickle
 import warnings
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, sampler_of, walled
 
-from plr_jax.plr import ConstructionInterrupted, construct
+from plr_jax.plr import BuildOptions, ConstructionInterrupted, construct
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import limits as growth
+from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.partition.cells import Cells
 
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
     most = (given.get(name) for name in ("max_depth", "max_leaves", "max_bytes", "tolerance"))
     size = lambda dim, leaves: 4 * leaves  # noqa: E731
-    return growth.check_limits(dim, least_bytes, has_deep_trees, size, *most, Proof.NONE, 13)
+    model = SimpleNamespace(least_bytes=least_bytes, has_deep_trees=has_deep_trees, bytes_without_budget=size)
+    return check_limits(model, dim, *most, Proof.NONE, 13)
 
 
 @pytest.mark.parametrize(
@@ -170,4 +173,4 @@ def test_every_prefix_of_the_order_of_splits_is_a_tree():
 )
 def test_bad_rules_are_refused(leaf, rules, message):
     with pytest.raises(ValueError, match=message):
-        construct(cone, UNIT, leaf=leaf, max_leaves=10, **rules)
+        construct(cone, UNIT, leaf=leaf, max_leaves=10, options=BuildOptions(**rules))

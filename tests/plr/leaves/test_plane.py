@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, random_partition, walled
 
-from plr_jax import Box
+from plr_jax import Box, BuildOptions
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves.plane import (
@@ -65,7 +65,7 @@ def test_a_fit_of_the_callers_own():
     def flat(pattern, value, weight):
         return value.max(axis=1), 0 * value[:, :2]
 
-    plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, compute_coefficients=flat)
+    plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, options=BuildOptions(compute_coefficients=flat))
     np.testing.assert_allclose(plr.slope, 0)
     assert (plr(points(100, 0)) >= 0.2).all()
 

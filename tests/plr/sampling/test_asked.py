@@ -19,8 +19,9 @@ def roadmap():
     return plr_jax.Roadmap.from_workspace(WORKSPACE, goal=[9, 1], num_samples=100)
 
 
-def build(distance_fn, leaf="plane", **options):
-    return plr_jax.construct(distance_fn, WORKSPACE.bounds, leaf=leaf, max_leaves=12, **options).to_bytes()
+def build(distance_fn, **options):
+    options = plr_jax.BuildOptions(**options)
+    return plr_jax.construct(distance_fn, WORKSPACE.bounds, max_leaves=12, options=options).to_bytes()
 
 
 class Counted:
@@ -82,7 +83,9 @@ def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, tmp_path):
 def test_folded_distances_are_kept_as_well(tmp_path):
     car = plr_jax.ReedsShepp(goal=(0, 0, 0), radius=1)
     files = {
-        plr_jax.construct(car, HEADINGS, leaf="continuous", max_leaves=30, checkpoint=path).to_bytes()
+        plr_jax.construct(
+            car, HEADINGS, leaf="continuous", max_leaves=30, options=plr_jax.BuildOptions(checkpoint=path)
+        ).to_bytes()
         for path in (None, tmp_path / "car", tmp_path / "car")
     }
     assert len(files) == 1

@@ -8,8 +8,9 @@ import pytest
 from plr_jax import VisibilityGraph, Workspace, scenes
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth.levels import MAX_ASPECT_BITS
-from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.optimal import PriceSearch, Thrift
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.leaves.cone import family
 from plr_jax.plr.sampling.cell_fit import sample_pattern
 
@@ -19,7 +20,7 @@ CORNER = Workspace(((0, 0), (1, 1)), [[(0.5, 0.25), (0.52, 0.25), (0.52, 0.75), 
 
 
 def limits_of(max_leaves=None, max_depth=None, max_axis_depth=None):
-    limits = check_limits(2, 0.5, True, lambda dim, n: n, max_depth, max_leaves, None, None, Proof.NONE, 13)
+    limits = check_limits(leaf_model("cone"), 2, max_depth, max_leaves, None, None, Proof.NONE, 13)
     return limits
 
 

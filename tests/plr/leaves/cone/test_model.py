@@ -9,7 +9,7 @@ import pytest
 from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax import Box, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
+from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
 from plr_jax.plr import construct, from_bytes
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.leaves import leaf_model
@@ -139,9 +139,9 @@ def test_where_nothing_is_reached_and_for_too_few_bytes_the_construction_says_so
     [
         ({"distance_fn": lambda x: np.abs(x[:, 0])}, "Use leaf='continuous' for any other"),
         ({"domain": ((0, 0, 0), (1, 1, 1)), "distance_fn": lambda x: x[:, 0]}, "in 3 dimensions"),
-        ({"weight_fn": lambda x: 1 + x[:, 0]}, "or use leaf='continuous'"),
-        ({"should_split": maximum_depth}, "or use leaf='continuous'"),
-        ({"split": cyclic_axis}, "or use leaf='continuous'"),
+        ({"options": BuildOptions(weight_fn=lambda x: 1 + x[:, 0])}, "or use leaf='continuous'"),
+        ({"options": BuildOptions(should_split=maximum_depth)}, "or use leaf='continuous'"),
+        ({"options": BuildOptions(split=cyclic_axis)}, "or use leaf='continuous'"),
     ],
 )
 def test_cones_are_not_found_from_samples(maze, options, message):

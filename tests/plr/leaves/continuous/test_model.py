@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, leaf_by_search, points, random_partition, walled
 
-from plr_jax import Box
+from plr_jax import Box, BuildOptions
 from plr_jax.plr import construct
 from plr_jax.plr.leaves.continuous.codec import numbers_of_polynomials
 from plr_jax.plr.leaves.continuous.growth import fit_values
@@ -27,7 +27,7 @@ def leaf(request):
 
 @pytest.fixture(scope="module")
 def plr(leaf):
-    return construct(walled, UNIT, leaf=leaf, max_leaves=100, num_samples=48)
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100, options=BuildOptions(num_samples=48))
 
 
 def both_sides_of_faces(plr, distance_fn):
@@ -61,7 +61,13 @@ def test_no_jump_in_other_dimensions(dim):
         blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
         return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
 
-    plr = construct(walled_anywhere, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=80, num_samples=48)
+    plr = construct(
+        walled_anywhere,
+        (np.zeros(dim), np.ones(dim)),
+        leaf="continuous",
+        max_leaves=80,
+        options=BuildOptions(num_samples=48),
+    )
     assert jump(plr, walled_anywhere) <= 1e-5
 
 
@@ -77,7 +83,13 @@ def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
     """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
     # Widths that are no powers of two, for which not even the lookup rounds the same way in all compiled code.
     domain = Box([0.0, -1.0], [24.0, 14.0])
-    plr = construct(lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7), domain, leaf=leaf, max_leaves=80, num_samples=32)
+    plr = construct(
+        lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7),
+        domain,
+        leaf=leaf,
+        max_leaves=80,
+        options=BuildOptions(num_samples=32),
+    )
     x = (domain.lo + domain.width * points(4000, 0)).astype(np.float32)
     for axis, corners in enumerate(plr.leaf_boxes[0].T):
         x[:, axis] = np.resize(np.unique(corners)[1:], 4000)
@@ -147,7 +159,11 @@ def test_limits_and_weights_are_kept():
     plr, x = construct(cone, UNIT, leaf="continuous", tolerance=0.01), points(5000, 0)
     assert np.abs(np.asarray(plr(x)) - cone(x)).max() < 0.015 and plr.num_leaves < 60
     weighted = construct(
-        cone, UNIT, leaf="continuous", max_leaves=64, weight_fn=lambda x: np.where(x[:, 0] > 0.5, 1.0, 0.001)
+        cone,
+        UNIT,
+        leaf="continuous",
+        max_leaves=64,
+        options=BuildOptions(weight_fn=lambda x: np.where(x[:, 0] > 0.5, 1.0, 0.001)),
     )
     assert np.mean(weighted.leaf_boxes[0][:, 0] >= 0.5) > 0.8
     deep = construct(
@@ -165,7 +181,13 @@ def test_exhausted_leaves_take_no_part_of_what_was_asked_for(max_leaves):
     def bumps_and_a_jump(x):
         return 2 + np.sin(40 * x[:, 0]) + 10 * (x[:, 0] > 1 / 3)
 
-    plr = construct(bumps_and_a_jump, ([0.0], [1.0]), leaf="continuous", max_leaves=max_leaves, num_samples=48)
+    plr = construct(
+        bumps_and_a_jump,
+        ([0.0], [1.0]),
+        leaf="continuous",
+        max_leaves=max_leaves,
+        options=BuildOptions(num_samples=48),
+    )
     assert plr.num_leaves == max_leaves
 
 
