@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from experiments import _dbcbs
 from experiments._planning import lower_bound, plan_and_check, reversed_team
 from experiments._runner import Section, run
 from plr_jax import BLOptions, DiscRobot, Problem, VisibilityGraph, bl_plan, scenes
@@ -213,7 +214,7 @@ def dbcbs_16(seed: int, smoke: bool) -> dict[str, Any]:
     folder, name = collection("dbcbs"), f"gen_p10_n{4 if smoke else 16}_0"
     if folder is None:
         return {"rows": [], "skipped": SKIPPED}
-    problem = scenes.read_dbcbs(folder / f"{name}_unicycle_sphere.yaml")
+    problem = _dbcbs.read_problem(folder / f"{name}_unicycle_sphere.yaml")
     variants = [problem, *(scenes.perturbed(problem, seed + k) for k in range(1 if smoke else NUM_PERTURBED))]
     runs = []
     for variant in variants:

@@ -66,7 +66,7 @@ print(plr_jax.metrics.error_map(field, oracle, x))
 plr_jax.plot.plot_contours(field, workspace=workspace, goal=(9, 1))
 ```
 
-- `metrics` measures errors, gradients and jumps, `plot` draws; `validate` checks a path by geometry of its own, a
+- `metrics` measures errors, `plot` draws; `validate` checks a path by geometry of its own, a
   `ValidationReport`; `path_cost` and `makespan` say what it costs and takes.
 
 The names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and

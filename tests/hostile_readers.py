@@ -35,27 +35,6 @@ map
 @@@@@@@@@@@@
 """
 _QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
-_DBCBS = """
-environment:
-  max: [6, 4.5]
-  min: [0, 0]
-  obstacles:
-  - {center: [3, 1], size: [1, 2], type: box}
-robots:
-- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
-- type: unicycle_first_order_0
-  start: [5, 3, 3.14]
-  goal: [1.0, 3e0, 0]
-"""
-_TRAJECTORIES = """
-result:
-- states:
-  - [0, 1, 2.5, 9]
-  - [3, 4, 5, 9]
-  actions:
-  - [1.0e-3, 2]
-- states: [[6, 7, 8, 9]]
-"""
 _CRC = struct.Struct("<I")
 _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
@@ -235,8 +214,6 @@ READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
     "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
-    "db-CBS": Reader(scenes.read_dbcbs, ".yaml", lambda: [_DBCBS.encode()]),
-    "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),

@@ -63,7 +63,7 @@ def test_hostile_json_is_refused_by_name(content, message, tmp_path):
     ids=range(16),
 )
 def test_hostile_yaml_is_refused_by_name(content, message, tmp_path):
-    for read in (scenes.read_dbcbs, scenes.read_trajectories):
+    for read in (scenes.read_map_server, scenes.read_cost_map):
         refused(read, "a.yaml", content, f"(?s:.*){message}", tmp_path)
 
 
@@ -107,6 +107,6 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
 
 
 def test_a_name_that_no_file_can_have_is_refused():
-    for read in (scenes.load, scenes.read_polygons, scenes.read_dbcbs, scenes.read_map):
+    for read in (scenes.load, scenes.read_polygons, scenes.read_map_server, scenes.read_map):
         with pytest.raises(ValueError, match=re.escape("a\0b: ")):
             read("a\0b")

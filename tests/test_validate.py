@@ -7,7 +7,8 @@ import pytest
 import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions, shapes
 
-from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from experiments import _dbcbs
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, path_cost, validate
 from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.robots.robot import team_dof
@@ -253,8 +254,8 @@ SOLUTIONS = [
 
 def published(problem, solution):
     """A published trajectory as the path of a problem that begins and ends where it does."""
-    path = scenes.read_trajectories(Path(DATA, f"{solution}.yaml"))
-    stated = scenes.read_dbcbs(Path(DATA, f"{problem}.yaml"))
+    path = _dbcbs.read_trajectories(Path(DATA, f"{solution}.yaml"))
+    stated = _dbcbs.read_problem(Path(DATA, f"{problem}.yaml"))
     num_stated = len(stated.robots)
     np.testing.assert_allclose(path[0, :num_stated], stated.starts, atol=1e-9)
     # They end within a numerical solver's tolerance of the goals.

@@ -13,7 +13,6 @@ from plr_jax.plot._page import save
 from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
 from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_surface, plot_workspace
 from plr_jax.plot._slices import slices
-from plr_jax.plot._volume import plot_volume
 
 __all__ = [
     "Animation",
@@ -27,7 +26,6 @@ __all__ = [
     "plot_problem",
     "plot_samples",
     "plot_surface",
-    "plot_volume",
     "plot_workspace",
     "save",
     "slices",

@@ -1,6 +1,5 @@
 """Named scenes, the scene file format, readers of public formats, and variants of a problem."""
 
-from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
 from plr_jax.scenes._geojson import read_geojson, read_polygons
 from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
@@ -33,14 +32,12 @@ __all__ = [
     "perturbed",
     "read_cells",
     "read_cost_map",
-    "read_dbcbs",
     "read_geojson",
     "read_image",
     "read_map",
     "read_map_server",
     "read_polygons",
     "read_scen",
-    "read_trajectories",
     "read_volume",
     "read_workspace",
     "save",

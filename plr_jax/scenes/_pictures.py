@@ -279,11 +279,6 @@ def read_cost_map(
         )
 
 
-def is_map_server(document: Any) -> bool:
-    """Whether what a YAML file holds is to be such a map: it has a key of one, if perhaps not all that it needs."""
-    return isinstance(document, dict) and any(key in document for key in (*_REQUIRED, *_OPTIONAL))
-
-
 @dataclass(frozen=True, eq=False)
 class _MapServer:
     """What the YAML file of a map says."""

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from plr_jax._files import errors_named, json_of, yaml_of
+from plr_jax._files import errors_named, json_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._dbcbs import read_dbcbs
 from plr_jax.scenes._file import is_scene, load
 from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons
 from plr_jax.scenes._movingai import read_map
-from plr_jax.scenes._pictures import PICTURE_ENDINGS, is_map_server, read_image, read_map_server
+from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image, read_map_server
 
 _ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
 
@@ -23,8 +22,7 @@ def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
     Args:
         path: A picture (:func:`read_image`); a map of ``map_server``, ``.yaml`` (:func:`read_map_server`); GeoJSON,
             ``.json`` or ``.geojson`` (:func:`read_geojson`); a Moving AI grid, ``.map`` (:func:`read_map`); polygons
-            with holes, ``.json`` (:func:`read_polygons`); a scene, ``.json`` (:func:`load`), or a problem of db-CBS,
-            ``.yaml`` (:func:`read_dbcbs`), of which the workspace is taken.
+            with holes, ``.json`` (:func:`read_polygons`); a scene, ``.json`` (:func:`load`).
         **options: Those of the reader.
 
     Returns:
@@ -60,8 +58,7 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
             with errors_named(path):
                 return read_geojson if is_geojson(json_of(path)) else read_polygons
         case ".yaml" | ".yml":
-            with errors_named(path):
-                return read_map_server if is_map_server(yaml_of(path)) else _workspace_of_problem
+            return read_map_server
         case ending if ending in PICTURE_ENDINGS:
             return read_image
     raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_ENDINGS)}.")
@@ -69,7 +66,3 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
 
 def _workspace_of_scene(path: Path) -> Workspace:
     return load(path).workspace
-
-
-def _workspace_of_problem(path: Path) -> Workspace:
-    return read_dbcbs(path).workspace

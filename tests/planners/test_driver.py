@@ -17,6 +17,7 @@ from planner_helpers import (
     planned,
 )
 
+from experiments import _dbcbs
 from plr_jax import (
     BLOptions,
     DiscRobot,
@@ -65,12 +66,12 @@ DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle
 
 @pytest.mark.parametrize("name", DBCBS)
 def test_problems_of_dbcbs_their_robots_holonomic(data_dir, name):
-    assert planned(scenes.read_dbcbs(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
+    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
 
 
 def test_infeasible_problems_are_refused_before_planning(data_dir):
     with pytest.raises(ValueError, match="Robots 0 and 1 overlap at their goals"):
-        scenes.read_dbcbs(data_dir / "dbcbs" / "infeasible_0.yaml")
+        _dbcbs.read_problem(data_dir / "dbcbs" / "infeasible_0.yaml")
     wall = Workspace(((0, 0), (6, 6)), [shapely.box(2, 0, 3, 6)])
     with pytest.raises(ValueError, match=r"Robot 0 has its goal .* cut off"):
         Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])

@@ -6,19 +6,15 @@ import pytest
 
 from plr_jax import scenes
 
-DBCBS = """
-environment: {max: [6, 4.5], min: [0, 0], obstacles: [{center: [3, 1], size: [1, 2], type: box}]}
-robots: [{type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}]
-"""
-
 
 def test_files_are_known_by_their_ending_and_what_is_in_them(tmp_path):
     scenes.save(scenes.maze(), tmp_path / "scene.json")
     (tmp_path / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
     (tmp_path / "grid.MAP").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
-    (tmp_path / "problem.yaml").write_text(DBCBS)
+    (tmp_path / "map.pgm").write_bytes(b"P5 3 2 255 " + b"\xff" * 6)
+    (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 0.5\norigin: [0, 0, 0]")
     expected = {"scene.json": scenes.maze().workspace.free_space.area, "polygons.json": 4.5, "grid.MAP": 2}
-    for name, area in {**expected, "problem.yaml": 25}.items():
+    for name, area in {**expected, "map.yaml": 1.5}.items():
         assert scenes.read_workspace(tmp_path / name).free_space.area == pytest.approx(area)
 
 

@@ -1,4 +1,4 @@
-"""How far an approximation of a distance function is from the distance function, in value."""
+"""Measure the error of an approximate distance function."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,6 +12,8 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Slice
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import FreeTest
+
+__all__ = ["ErrorReport", "error_grid", "error_map"]
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 _DIGITS = 4  # of the largest distance, to which a place is told, however far from the origin it is
