@@ -44,7 +44,7 @@ def test_help_lists_the_public_names(capsys):
     assert all(name in text for name in plr_jax.__all__)
 
 
-@pytest.mark.parametrize("name", ["metrics", "plot", "plr", "scenes"])
+@pytest.mark.parametrize("name", ["plot", "plr", "scenes"])
 def test_public_packages_list_their_names(name):
     package = getattr(plr_jax, name)
     assert all(getattr(package, each) is not None for each in package.__all__)
