@@ -1,231 +1,126 @@
-"""Where a team meets and where a fleet's depots go: placement by gradients through the distances of pairs.
+"""Where a team meets and where a fleet's depots go: an example of placement through the distances of pairs.
 
-On each map 20 agents meet at one place, and 1,000 demand points are served by 8 depots, at the least sum of distances
-or the least largest one. All costs are by the exact oracle. The rivals: the best choice of demand points, by a table
-of all their exact distances (for the meeting point the best of all; for depots exchanged one at a time, and each time
-the best exchange, from several draws); for the meeting point a dense grid of free candidates with exact distances;
-and a placement by straight-line distances, confined to free space alike.
+On each map 20 agents meet at one place, and 8 depots serve 1,000 demand points, at the least sum of distances or the
+least largest distance. ``place`` first exchanges candidates, then moves each facility by random steps that shrink.
+All costs in the table are exact. Two rivals: the best demand points, and a placement by straight-line distances.
 """
 
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
-from matplotlib.axes import Axes
+from jaxtyping import Float, Int
 from matplotlib.figure import Figure
 
 from experiments._runner import run
 from experiments.benchmarks._maps import load_map, load_maps
-from plr_jax import PairPLR, Placement, VisibilityGraph, Workspace, construct_pairs, place, plot
+from plr_jax import VisibilityGraph, Workspace, construct_pairs, plot
 
 PAIR_BYTES = {"maze": 4_096, "arena": 65_536, "den520d": 1_048_576}
-"""Largest size of the file of pairs of each map."""
+TASKS = {"meeting point": (1, 20), "depots": (8, 1_000)}  # number of facilities and of demand points
 OBJECTIVES = {"sum": np.sum, "max": np.max}
-_GRID = 200  # candidates along the longer side
-_DRAWS = 8
-_LEAST_GAIN = 1e-9
+NUM_CANDIDATES, NUM_STEPS, NUM_ROUNDS = 512, 32, 24
 _COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8f8f2a", "#6a51a3")
-_OURS, _OTHERS = "#d55e00", "#0072b2"
 
 Points = Float[np.ndarray, "n 2"]
-Cost = Callable[..., Any]
+Table = Float[np.ndarray, "facilities n"]
+Distance = Callable[[Points, Points], Any]
 
 
-class Task(NamedTuple):
-    """To place ``k`` facilities for ``n`` points; how fine the grid of candidates is, if there is one."""
-
-    name: str
-    k: int
-    n: int
-    grid: int | None
+def table_of(distance: Distance, sites: Points, demand: Points) -> Table:
+    """Return the distance of each site from each demand point."""
+    x, y = np.repeat(sites, len(demand), axis=0), np.tile(demand, (len(sites), 1))
+    return np.asarray(distance(x, y), float).reshape(len(sites), len(demand))
 
 
-class Timed(NamedTuple):
-    """A placement, and seconds: of the first call, which compiles, and of a like one after it."""
+def exchanged(table: Table, k: int, cost: Callable[..., Any]) -> Int[np.ndarray, "k"]:
+    """Choose ``k`` rows greedily, then exchange one at a time, always the best, while the cost falls."""
+    chosen: list[int] = []
+    for _ in range(k):
+        nearest = table[chosen].min(axis=0) if chosen else np.full(table.shape[1], np.inf)
+        chosen.append(int(cost(np.minimum(table, nearest), axis=1).argmin()))
+    while True:
+        rest = [chosen[:i] + chosen[i + 1 :] for i in range(k)]
+        nearest = [table[others].min(axis=0) if others else np.inf for others in rest]
+        costs = np.stack([cost(np.minimum(table, each), axis=1) for each in nearest])
+        place, row = np.unravel_index(costs.argmin(), costs.shape)
+        if costs[place, row] >= (1 - 1e-9) * cost(table[chosen].min(axis=0)):
+            return np.array(chosen)
+        chosen = [*rest[place], int(row)]
 
-    placement: Placement
-    first: float
-    seconds: float
+
+def place(
+    distance: Distance, workspace: Workspace, demand: Points, k: int, cost: Callable[..., Any], seed: int
+) -> Points:
+    """Return ``k`` free places at which the cost of the distances to the demand points is small."""
+    # 1. The best of many candidates.
+    candidates = workspace.sample_free(NUM_CANDIDATES, seed)
+    table = table_of(distance, candidates, demand)
+    chosen = exchanged(table, k, cost)
+    facilities, table = candidates[chosen], table[chosen]
+    # 2. Random steps of each facility, shorter in each round.
+    rng = np.random.default_rng(seed)
+    for step in 0.1 * float(workspace.bounds.width.max()) * 0.75 ** np.arange(NUM_ROUNDS):
+        for i in range(k):
+            moved = facilities[i] + step * rng.normal(size=(NUM_STEPS, 2))
+            moved = np.concatenate([facilities[[i]], moved[workspace.is_free(moved)]])
+            others = np.delete(table, i, axis=0).min(axis=0, initial=np.inf)
+            rows = table_of(distance, moved, demand)
+            best = int(cost(np.minimum(rows, others), axis=1).argmin())
+            facilities[i], table[i] = moved[best], rows[best]
+    return facilities
+
+
+def straight(x: Points, y: Points) -> Float[np.ndarray, "n"]:
+    return np.linalg.norm(x - y, axis=1)
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    tasks = (
-        [Task("meeting point", 1, 8, 20), Task("depots", 2, 40, None)]
-        if smoke
-        else [Task("meeting point", 1, 20, _GRID), Task("depots", 8, 1_000, None)]
-    )
     rows, pictures = [], {}
+    tasks = {"meeting point": (1, 8), "depots": (2, 40)} if smoke else TASKS
     for name, (workspace, goal) in load_maps(["maze"] if smoke else PAIR_BYTES).items():
-        began = time.perf_counter()
-        pairs = construct_pairs(workspace, max_bytes=PAIR_BYTES[name])
-        built, exact = time.perf_counter() - began, VisibilityGraph(workspace, goal)
-        pictures[name] = {}
-        for task in tasks:
-            demand = workspace.sample_free(task.n, seed)
-            table = between(exact, demand, demand)
-            for objective in OBJECTIVES:
-                row, drawn = measure(exact, pairs, task, demand, table, objective, seed)
-                rows.append({"map": name, "pairs": {"bytes": pairs.num_bytes, "seconds": built}, **row})
-                if task.k == 1 or objective == "sum":
-                    pictures[name][f"{task.name}, {objective}"] = drawn
-                print("  ".join(cells(rows[-1])), flush=True)
+        pairs, exact = construct_pairs(workspace, max_bytes=PAIR_BYTES[name]), VisibilityGraph(workspace, goal)
+        for task, (k, n) in tasks.items():
+            demand = workspace.sample_free(n, seed)
+            of_points = table_of(exact.between, demand, demand)
+            for objective, cost in OBJECTIVES.items():
+                place(pairs, workspace, workspace.sample_free(n, seed + 1_000), k, cost, seed)  # compiles
+                began = time.perf_counter()
+                facilities = place(pairs, workspace, demand, k, cost, seed)
+                seconds = time.perf_counter() - began
+                by_lines = place(straight, workspace, demand, k, cost, seed)
+                ours, lines = (table_of(exact.between, each, demand) for each in (facilities, by_lines))
+                row = {"map": name, "k": k, "n": n, "objective": objective, "seconds": seconds}
+                row |= {"cost": float(cost(ours.min(axis=0))), "straight": float(cost(lines.min(axis=0)))}
+                row |= {"of_points": float(cost(of_points[exchanged(of_points, k, cost)].min(axis=0)))}
+                rows.append(row | {"free": bool(workspace.is_free(facilities).all())})
+            pictures[f"{name}, {task}"] = {
+                "map": name,
+                "facilities": facilities.tolist(),
+                "demand": demand.round(4).tolist(),
+                "nearest": ours.argmin(axis=0).tolist(),
+            }
     return {"rows": rows, "pictures": pictures}
 
 
-def measure(
-    exact: VisibilityGraph,
-    pairs: PairPLR,
-    task: Task,
-    demand: Points,
-    table: Float[np.ndarray, "n n"],
-    objective: str,
-    seed: int,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What ours and the rivals cost, and what is drawn of them."""
-    cost, workspace = OBJECTIVES[objective], exact.workspace
-    ours = timed(pairs, workspace, demand, task.k, objective, seed)
-    straight = timed(euclidean, workspace, demand, task.k, objective, seed)
-
-    def true_cost(facilities: Points) -> float:
-        return float(cost(between(exact, facilities, demand).min(axis=0)))
-
-    row = {
-        "task": task.name,
-        "k": task.k,
-        "n": task.n,
-        "objective": objective,
-        "cost": true_cost(ours.placement.facilities),
-        "said": ours.placement.cost,
-        "best_start": float(ours.placement.start_costs[0]),
-        "free": bool(workspace.is_free(ours.placement.facilities).all()),
-        "seconds": ours.seconds,
-        "seconds_first": ours.first,
-        "straight": true_cost(straight.placement.facilities),
-        "of_points": float(cost(table[best_points(table, task.k, cost, seed)].min(axis=0))),
-        "of_grid": None if task.grid is None else of_grid(exact, demand, task.grid, cost),
-    }
-    drawn = {
-        "facilities": ours.placement.facilities.tolist(),
-        "straight": straight.placement.facilities.tolist(),
-        "demand": demand.round(4).tolist(),
-        "assignment": ours.placement.assignment.tolist(),
-    }
-    if task.k == 1:
-        home = exact.with_goal(ours.placement.facilities[0])
-        drawn["paths"] = [home.shortest_path(point).tolist() for point in demand]
-    return row, drawn
-
-
-def timed(
-    distance: Callable[..., Any], workspace: Workspace, demand: Points, k: int, objective: str, seed: int
-) -> Timed:
-    """A placement for the demand after one for another demand, which compiles."""
-    other = workspace.sample_free(len(demand), seed + 1_000)
-    began = time.perf_counter()
-    place(distance, workspace, other, k, objective=objective, seed=seed)
-    compiled = time.perf_counter()
-    placement = place(distance, workspace, demand, k, objective=objective, seed=seed)
-    return Timed(placement, compiled - began, time.perf_counter() - compiled)
-
-
-def euclidean(x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    return jnp.sqrt(((x - y) ** 2).sum(axis=-1))
-
-
-def between(exact: VisibilityGraph, x: Points, y: Points) -> Float[np.ndarray, "x y"]:
-    """Exact distances."""
-    return np.stack([exact.with_goal(point)(y) for point in x])
-
-
-def of_grid(exact: VisibilityGraph, demand: Points, resolution: int, cost: Cost) -> float:
-    """The least cost of one place, of all free nodes of a grid."""
-    grid = exact.workspace.bounds.grid(resolution).reshape(-1, 2)
-    return float(cost(between(exact, demand, grid[exact.workspace.is_free(grid)]), axis=0).min())
-
-
-def best_points(table: Float[np.ndarray, "n n"], k: int, cost: Cost, seed: int) -> Int[np.ndarray, "k"]:
-    """The best demand point; of several, the best that exchanges lead to from random choices."""
-    if k == 1:
-        return np.array([cost(table, axis=1).argmin()])
-    rng = np.random.default_rng(seed)
-    found = [exchanged(table, rng.choice(len(table), k, replace=False), cost) for _ in range(_DRAWS)]
-    return min(found, key=lambda chosen: cost(table[chosen].min(axis=0)))
-
-
-def exchanged(table: Float[np.ndarray, "n n"], chosen: Int[np.ndarray, "k"], cost: Cost) -> Int[np.ndarray, "k"]:
-    """A choice after exchanges, each time the best one, as long as it becomes cheaper."""
-    while True:
-        rest = [np.delete(chosen, place) for place in range(len(chosen))]
-        costs = np.stack([cost(np.minimum(table, table[others].min(axis=0)), axis=1) for others in rest])
-        place, point = np.unravel_index(costs.argmin(), costs.shape)
-        if costs[place, point] >= (1 - _LEAST_GAIN) * cost(table[chosen].min(axis=0)):
-            return chosen
-        chosen = np.append(rest[place], point)
-
-
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    maps = results["pictures"]
-    figure = Figure(figsize=(4.2 * len(maps), 8.6), dpi=130, facecolor="white", layout="constrained")
-    axes = figure.subplots(2, len(maps), squeeze=False)
-    for (name, drawn), (above, below) in zip(maps.items(), axes.T, strict=True):
-        workspace, _ = load_map(name) or (None, None)
-        if workspace is None:
-            continue
-        draw_meeting(workspace, drawn["meeting point, sum"], drawn["meeting point, max"], above)
-        above.set_title(f"{name}: a meeting point", fontsize=11)
-        draw_depots(workspace, drawn["depots, sum"], below)
-        count = len(drawn["depots, sum"]["facilities"])
-        below.set_title(f"{name}: {count} depots of least sum", fontsize=11)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=10)
-    picture = output / "placement.png"
-    figure.savefig(picture)
-    return [picture]
-
-
-def draw_meeting(workspace: Workspace, of_sum: dict[str, Any], of_max: dict[str, Any], ax: Axes) -> None:
-    """Agents, their ways to the place of least sum, and other places."""
-    _frame(workspace, ax)
-    for path in of_sum["paths"]:
-        ax.plot(*np.array(path).T, color=_OURS, lw=0.9, alpha=0.55, zorder=4)
-    ax.plot(*np.array(of_sum["demand"]).T, "o", ms=4.5, mfc="white", mec="black", mew=1, zorder=5, label="agents")
-    for facilities, marker, color, label in (
-        (of_sum["facilities"], "*", _OURS, "least sum"),
-        (of_max["facilities"], "D", _OTHERS, "least longest way"),
-        (of_sum["straight"], "X", "#777777", "least sum of straight lines"),
-    ):
-        size = 17 if marker == "*" else 9
-        ax.plot(
-            *np.array(facilities).T,
-            marker,
-            ms=size,
-            mfc=color,
-            mec="black",
-            mew=0.9,
-            ls="none",
-            zorder=6,
-            label=label,
-        )
-
-
-def draw_depots(workspace: Workspace, drawn: dict[str, Any], ax: Axes) -> None:
-    """Demand points in the colors of their depots."""
-    _frame(workspace, ax)
-    demand, assignment = np.array(drawn["demand"]), np.array(drawn["assignment"])
-    for number, depot in enumerate(drawn["facilities"]):
-        color = _COLORS[number % len(_COLORS)]
-        ax.plot(*demand[assignment == number].T, ".", ms=3.5, color=color, zorder=4)
-        ax.plot(*depot, "*", ms=15, mfc=color, mec="black", mew=1, zorder=6)
-
-
-def _frame(workspace: Workspace, ax: Axes) -> None:
-    plot.plot_workspace(workspace, ax)
-    ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    pictures = {title: each for title, each in results["pictures"].items() if load_map(each["map"]) is not None}
+    figure = Figure(figsize=(8.4, 2.1 * len(pictures)), dpi=130, facecolor="white", layout="constrained")
+    axes = figure.subplots(-(-len(pictures) // 2), 2, squeeze=False).ravel()
+    for ax, (title, drawn) in zip(axes, pictures.items(), strict=False):
+        workspace, _ = load_map(drawn["map"]) or (None, None)
+        plot.plot_workspace(workspace, ax)
+        demand, nearest = np.array(drawn["demand"]), np.array(drawn["nearest"])
+        for number, facility in enumerate(drawn["facilities"]):
+            color = _COLORS[number % len(_COLORS)]
+            ax.plot(*demand[nearest == number].T, ".", ms=3.5, color=color, zorder=4)
+            ax.plot(*facility, "*", ms=14, mfc=color, mec="black", zorder=6)
+        ax.set(xticks=[], yticks=[], xlabel="", ylabel="", title=f"{title}, least largest distance")
+    figure.savefig(output / "placement.png")
+    return [output / "placement.png"]
 
 
 if __name__ == "__main__":
-    run("placement", "Meeting points of a team and depots of a fleet.", compute, draw)
+    run("placement", __doc__, compute, draw)

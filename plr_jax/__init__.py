@@ -53,11 +53,10 @@ lower, upper = field.bounds(x)
 
 - A PLR is called, which is `evaluate`; several at once: `stack` makes a `PLRStack`. `trace` reads paths from cones,
   `Traces` with a `TraceStatus`.
-- `descend` follows a field to its goal (`Descent`, `DescentStatus`), `optimize_paths` shortens a team's path
-  (`OptimizedPaths`, `OptimizationInterrupted`), `place` finds the best sites (`Placement`).
+- `descend` follows a field to its goal (`Descent`, `DescentStatus`).
 - `bl_plan` plans for a team, with `BLOptions`, led by `zero`, `straight_line` or `sum_of_distances`; it returns a
   `Solution`, with `Status` and `Stats`; a team that is under way: `replan`; goals that keep coming: `lifelong`, a
-  `LifelongRun`. `sba_star_plan` samples; `ompl_objective` leads planners of OMPL.
+  `LifelongRun`. `ompl_objective` leads planners of OMPL.
 
 # Look: is it right?
 

@@ -21,12 +21,7 @@ from .geometry.workspace import Workspace as Workspace
 from .ompl import ompl_objective as ompl_objective
 from .optimize import Descent as Descent
 from .optimize import DescentStatus as DescentStatus
-from .optimize import OptimizationInterrupted as OptimizationInterrupted
-from .optimize import OptimizedPaths as OptimizedPaths
-from .optimize import Placement as Placement
 from .optimize import descend as descend
-from .optimize import optimize_paths as optimize_paths
-from .optimize import place as place
 from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
 from .oracles import GridField as GridField
@@ -51,7 +46,6 @@ from .planners import Status as Status
 from .planners import bl_plan as bl_plan
 from .planners import lifelong as lifelong
 from .planners import replan as replan
-from .planners import sba_star_plan as sba_star_plan
 from .planners import straight_line as straight_line
 from .planners import sum_of_distances as sum_of_distances
 from .planners import zero as zero

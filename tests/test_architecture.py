@@ -45,7 +45,7 @@ PLR_LAYERS = [
 # And inside that of the planners.
 PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
-    ["_options", "_sba_star"],
+    ["_options"],
     ["lattice"],
     ["best_first", "lacam", "replanning", "sequential", "smoothing", "timetable"],
     ["searches"],

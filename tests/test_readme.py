@@ -5,7 +5,7 @@ import json
 import re
 import shlex
 import sys
-from inspect import getdoc, signature
+from inspect import getdoc
 from pathlib import Path
 
 import pdoc.__main__
@@ -51,8 +51,6 @@ def test_the_readme_is_short_and_has_code():
 @pytest.mark.usefixtures("unchecked_types")
 def test_python_blocks_run(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    # Placement takes long to compile, and has tests of its own, among them of pairs of this scene.
-    monkeypatch.setattr(plr_jax, "place", signature(plr_jax.place).bind)
     fewer_points = re.sub(r"(sample_free\()[\d_]+", r"\g<1>16", code)
     exec(compile(fewer_points, "README.md", "exec"), {})
 

@@ -18,9 +18,8 @@ from plr_jax import (
     plot,
     save,
     scenes,
-    zero,
 )
-from plr_jax.planners import lifelong, replan, sba_star_plan
+from plr_jax.planners import lifelong, replan
 from plr_jax.plr import PLR, NumpyPLR
 
 ROOM = Workspace(((0, 0), (1, 1)))
@@ -53,7 +52,6 @@ def built(**options):
         (lambda: built(margin=-0.1), "margin must be a fraction from 0 to 1"),
         (lambda: built(margin=np.inf), "margin must be a fraction from 0 to 1"),
         (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
-        (lambda: sba_star_plan(scenes.maze(), zero(), time_limit=True), "time_limit must be positive, got True"),
         (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),

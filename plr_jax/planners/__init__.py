@@ -7,7 +7,6 @@ from plr_jax.planners._lifelong import LifelongRun as LifelongRun
 from plr_jax.planners._lifelong import lifelong as lifelong
 from plr_jax.planners._options import BLOptions as BLOptions
 from plr_jax.planners._replan import replan as replan
-from plr_jax.planners._sba_star import sba_star_plan as sba_star_plan
 from plr_jax.planners._solution import Solution as Solution
 from plr_jax.planners._solution import Stats as Stats
 from plr_jax.planners._solution import Status as Status

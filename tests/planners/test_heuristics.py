@@ -25,7 +25,6 @@ from plr_jax import (
     construct,
     path_cost,
     robot_distance_fns,
-    sba_star_plan,
     scenes,
     solve_eikonal,
     straight_line,
@@ -181,10 +180,9 @@ def test_distance_functions_see_few_batch_sizes():
         (sum_of_distances, r"sum_of_distances\(dist"),
     ],
 )
-@pytest.mark.parametrize("plan", [bl_plan, sba_star_plan])
-def test_a_factory_that_was_not_called_is_refused(plan, factory, call):
+def test_a_factory_that_was_not_called_is_refused(factory, call):
     with pytest.raises(ValueError, match=rf"what {call}.* returns, got {factory.__name__} itself: call it"):
-        plan(DISCS, factory)
+        bl_plan(DISCS, factory)
 
 
 def with_dim(dim):
