@@ -36,7 +36,7 @@ field = plr_jax.load("field.plr")
   that has changed `updated`; `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
   `pairs`.
 - Files: `save` and `load`, `from_bytes`; without JAX `load_numpy`, a `NumpyPLR`.
-- How cells are fitted and split, for `construct`: a `CellFit`, `least_squares`; `largest_error`,
+- How `construct` works, `BuildOptions`: a `CellFit`, `least_squares`; `largest_error`,
   `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, `construct` warns:
   `ConstructionInterrupted`. Formats and arithmetic are in `plr`.
 
