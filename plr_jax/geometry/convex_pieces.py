@@ -4,13 +4,12 @@ All of them stand in one array, coordinate by coordinate, a piece a row, its cor
 fewer corners than rows have room for repeats its last one.
 """
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members
-from plr_jax.geometry.vectors import cross_product
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 PartIndex: TypeAlias = Int[np.ndarray, "parts"]
@@ -18,16 +17,6 @@ PartSide: TypeAlias = Bool[np.ndarray, "parts"]
 PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
 ROOM = 8
 """Corners of a triangle cut by a box, at most 7, and one more."""
-
-
-def convex_pieces(region: Any) -> Float[np.ndarray, "2 pieces 3"]:
-    """Triangles that fill a region of polygons, counterclockwise."""
-    from plr_jax.geometry.boundary import triangulate  # needs Shapely, which a query does not
-
-    triangles = triangulate(region)
-    clockwise = cross_product(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) < 0
-    triangles[clockwise] = triangles[clockwise, ::-1]
-    return triangles.transpose(2, 0, 1)
 
 
 def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
@@ -135,19 +124,10 @@ def cut_parts(
     return result, part, rows, is_cut
 
 
-def clip_to_box(
-    pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
-) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
-    """What of the pieces lies in a box, in their order, but nothing without area; and which pieces these are."""
-    pieces, _, rows = clip_to_boxes(pieces, lo[None], hi[None])
-    some = areas(pieces) > 0
-    return pieces[:, some], rows[some]
-
-
 def clip_to_boxes(
     pieces: Pieces, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
 ) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
-    """What of the pieces lies in each box, box by box, some without area; the box of each, and which piece it was."""
+    """Return the parts of the pieces in each box, box by box; the box of each part, and the piece that it was."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     box, rows = np.nonzero((x0 < hi[:, :1]) & (x1 > lo[:, :1]) & (y0 < hi[:, 1:]) & (y1 > lo[:, 1:]))
     pieces = pieces[:, rows]
@@ -157,7 +137,8 @@ def clip_to_boxes(
             reaches = (height > 0).any(axis=1)
             box, rows = box[reaches], rows[reaches]
             pieces = clip(pieces[:, reaches], height[reaches])
-    return pieces, box, rows
+    some = areas(pieces) > 0
+    return pieces[:, some], box[some], rows[some]
 
 
 def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:

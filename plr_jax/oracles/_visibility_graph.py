@@ -21,6 +21,7 @@ from plr_jax._files import write_atomically
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary, as_polygons
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cell_sight import Sight
 from plr_jax.geometry.changed_distances import ChangedDistances
 from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility
 from plr_jax.geometry.convex_pieces import areas
@@ -34,15 +35,12 @@ from plr_jax.geometry.corners import (
     turn_regions,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
-from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
+from plr_jax.oracles._cell_sources import FamilySources, SharedCells, VisibleSources, goal_sight, lists_of_goal
+from plr_jax.oracles._changed_distances import changed_distances
 from plr_jax.oracles._pair_distances import PairDistances
-from plr_jax.oracles.cells.cell_sources import VisibleSources, sources_of_boxes, visible_sources
-from plr_jax.oracles.cells.changed import changed_distances
-from plr_jax.oracles.cells.family_sources import FamilySources, SharedCells
-from plr_jax.oracles.cells.sight import GoalCones, Sight
 
 if TYPE_CHECKING:
     import networkx
@@ -221,8 +219,8 @@ class VisibilityGraph:
     @cached_property
     def sight(self) -> Sight:
         """What tells which sources pieces of free space may use."""
-        shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
-        return Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
+        table = joined_tables([self._goal_table, self._corners.table])
+        return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
@@ -237,7 +235,7 @@ class VisibilityGraph:
             ValueError: If not all of the free space around the goal is such: corners nearer to one another than the
                 workspace's tolerance may hide it.
         """
-        found = visible_sources(self.sight, self.regions, domain)
+        found = self.sources_of_boxes(domain.lo[None], domain.hi[None])
         around: Any = shapely.get_parts(self.workspace.free_space)
         around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
         # Not clip_by_rect, which errs where edges end on sides of the box.
@@ -262,7 +260,7 @@ class VisibilityGraph:
         Returns:
             The pieces of free space in them, and their sources.
         """
-        return sources_of_boxes(self.sight, self.regions, lo, hi)
+        return VisibleSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
         """How distances have changed since another oracle of the same goal.
@@ -292,7 +290,7 @@ class VisibilityGraph:
         self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
     ) -> SharedCells:
         """What all of the family share of some boxes in a domain: pieces of free space, and corners that see them."""
-        return SharedCells.of(self.workspace, self._corners, domain, lo, hi)
+        return SharedCells.of(self._corners, self.workspace.triangulation, domain, lo, hi)
 
     @staticmethod
     def family_sources(

@@ -9,15 +9,16 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import run_members, shortened
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cell_sight import CellSight, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.outline import Outline
 from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.portable import RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
-from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.limits import Limits, grow
@@ -142,7 +143,7 @@ class _ListTree:
     key: Float[np.ndarray, "nodes"]
     is_leaf: Bool[np.ndarray, "nodes"]
     parent: Int[np.ndarray, "nodes"]
-    visible: VisibleCorners
+    visible: CellSight
 
     def __len__(self) -> int:
         return int(self.is_leaf.sum())
@@ -155,7 +156,7 @@ class _ListTree:
 
 
 def grow_lists(
-    root: VisibleCorners, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
+    root: CellSight, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
     """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
     lists = lists_of(root, Cells.root(2))
@@ -187,7 +188,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     axis = cells.longest_axis(domain)
     both = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
-    visible = tree.visible.halves(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
+    visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
     lists = lists_of(visible, both)
     key = np.minimum(keys_of(visible, lists, limits), np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
@@ -202,12 +203,12 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     )
 
 
-def lists_of(visible: VisibleCorners, cells: Cells) -> Lists:
+def lists_of(visible: CellSight, cells: Cells) -> Lists:
     """The lists of cells, of which it is known what they see."""
-    return Lists(cells, *visible.lists())
+    return Lists(cells, *corners_of_cells(visible))
 
 
-def keys_of(visible: VisibleCorners, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
+def keys_of(visible: CellSight, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
     """Free area of each cell times how many of its corners are not seen by all of it; 0 where it is to stay."""
     area = np.bincount(visible.cell, areas(visible.pieces), len(lists.cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(lists.cells))
@@ -264,12 +265,23 @@ def grown(
         return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
 
     most = min(limits.max_leaves, most_leaves(len(rank)))
-    root = visible_corners(visibility, workspace, workspace.bounds)
+    root = corners_seen(visibility, workspace.triangulation, workspace.bounds.lo[None], workspace.bounds.hi[None])
     lists = grow_lists(root, workspace.bounds, limits, most, lambda lists: len(stored(lists).to_bytes()))
     held = stored(lists)
     data = held.to_bytes()
     require_bytes(len(data), limits)
     return held, data
+
+
+def corners_seen(
+    visibility: CornerVisibility,
+    triangulation: Triangulation,
+    lo: Float[np.ndarray, "cells 2"],
+    hi: Float[np.ndarray, "cells 2"],
+) -> CellSight:
+    """Return at which corners paths from boxes, each a cell, may turn first."""
+    lists = turns_by_triangle(visibility, triangulation)
+    return CellSight.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
 def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:

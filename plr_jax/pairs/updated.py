@@ -7,6 +7,7 @@ that spare points no corner, and where bytes lack, those that spare them the few
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import shortened
+from plr_jax.geometry.cell_sight import Sight, corner_sight
 from plr_jax.geometry.changed_distances import Corners, are_met
 from plr_jax.geometry.changes import may_see, sees_all
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, find_corners
@@ -21,6 +23,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.construct import (
     IN_VAIN,
     corners_in_outline,
+    corners_seen,
     grown,
     keys_of,
     limits_of,
@@ -31,9 +34,8 @@ from plr_jax.pairs.construct import (
 )
 from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.stored import Stored, listed_by_nodes, most_leaves
-from plr_jax.pairs.visible_corners import VisibleCorners, may_turn, visible_of_lists
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.partition.cells import Cells, Level, Tree, levels_of, tree_of
+from plr_jax.plr.partition.cells import Level, Tree, levels_of, tree_of
 
 _NEAR = 4  # tolerances of the workspace from what has changed, within which a way meets it
 _SHARE = 0.5  # of halvings, that spare less than is worth a new one
@@ -114,6 +116,11 @@ class _Update:
     visibility: CornerVisibility
     limits: Limits
 
+    @cached_property
+    def sight(self) -> Sight:
+        """What decides at which corners paths from a box may turn first."""
+        return corner_sight(self.visibility, self.workspace.triangulation)
+
     def relisted(
         self, stored: Stored, number: Int[np.ndarray, "before"], boxes: list[Corners]
     ) -> tuple[Listed, Bool[np.ndarray, "leaves"]]:
@@ -159,7 +166,8 @@ class _Update:
 
     def _may_turn(self, hulls: Hulls, corner: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
         """Whether a path from some point of each box may turn first at a corner."""
-        may = may_turn(self.visibility.corners, hulls.transpose(0, 2, 1), corner)
+        boxes, sight = hulls.transpose(0, 2, 1), self.sight
+        may = sight.may_bend(boxes, 2 * corner) | sight.may_bend(boxes, 2 * corner + 1)
         may[may] = may_see(self.visibility.table, corner[may], hulls[:, :, may].T)
         return may
 
@@ -170,7 +178,8 @@ class _Update:
         domain, leaves, stay = self.workspace.bounds, tree.leaves, np.flatnonzero(~is_doubtful)
         use = _use(tree, listed_by_nodes(tree, is_listed), self.limits.max_axis_depth)
         enough = domain.width.prod() * (np.quantile(use[use > 0], _SHARE) if use.any() else IN_VAIN)
-        visible, cells = self._visible(leaves[is_doubtful], is_listed[is_doubtful]), leaves[is_doubtful]
+        cells = leaves[is_doubtful]
+        visible = corners_seen(self.visibility, self.workspace.triangulation, *cells.grown_boxes(domain))
         all_cells, rows = [leaves[stay]], [is_listed[stay]]
         while len(cells):
             lists = lists_of(visible, cells)
@@ -184,13 +193,9 @@ class _Update:
             axis, is_upper = cells[large].longest_axis(domain), np.tile([False, True], len(large))
             cells = cells[large].split(axis)
             halves = np.repeat(large, 2), np.repeat(axis, 2), is_upper, *cells.grown_boxes(domain)
-            visible = visible.halves(*halves)
+            visible = visible.parts(*halves)
         tree = tree_of(all_cells[0].append(*all_cells[1:]))
         return tree, np.concatenate(rows)[tree.order]
-
-    def _visible(self, cells: Cells, is_listed: Listed) -> VisibleCorners:
-        boxes = cells.grown_boxes(self.workspace.bounds)
-        return visible_of_lists(self.visibility, self.workspace.triangulation, boxes, is_listed)
 
 
 def _fitted(unlisted: Stored, tree: Tree, is_listed: Listed, limits: Limits) -> tuple[Stored, bytes]:

@@ -13,7 +13,7 @@ import plr_jax
 from plr_jax import ConstructionInterrupted, VisibilityGraph, construct, load, save, scenes, solve_eikonal
 from plr_jax.cli.app import saying
 from plr_jax.cli.inputs import NamedMap
-from plr_jax.oracles.cells.cell_sources import VisibleSources
+from plr_jax.oracles._cell_sources import VisibleSources
 from plr_jax.plr.leaves import leaf_names
 
 MAZE = scenes.maze().workspace

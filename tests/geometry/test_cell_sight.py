@@ -1,13 +1,16 @@
+"""What viewpoints see of pieces and boxes, beside Shapely and by hand."""
+
 import numpy as np
 import pytest
 import shapely
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
 
-from plr_jax.geometry.convex_pieces import areas, clip_to_box, convex_pieces
+from plr_jax import VisibilityGraph
+from plr_jax.geometry.cell_sight import CellSight, Shadows, corner_sight, corners_of_cells, turns_by_triangle
+from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
 from plr_jax.geometry.corners import corner_visibility
-from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.visibility import Viewpoints, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
@@ -18,17 +21,17 @@ def shadows_around(workspace, *open_points):
     """Those of points in the open, followed by those of all corners."""
     views = Viewpoints(np.array(open_points, float).reshape(-1, 2), NONE, NONE)
     table, _ = visibility_of(workspace.triangulation, views)
-    return shadows_of(joined_tables([table, corner_visibility(workspace).table]))
+    return Shadows.of(joined_tables([table, corner_visibility(workspace).table]))
 
 
 def free_pieces(workspace, rng, n):
     """What random boxes, a few aligned with a lattice, leave of the triangles of free space."""
-    triangles, parts = convex_pieces(workspace.free_space), []
+    triangles, parts = workspace.triangulation.triangles.transpose(2, 0, 1), []
     for _ in range(n):
         lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
         if rng.random() < 0.3:
             lo, hi = np.floor(lo), np.ceil(hi)
-        parts.append(clip_to_box(triangles, lo, hi)[0])
+        parts.append(clip_to_boxes(triangles, lo[None], hi[None])[0])
     pieces = np.concatenate(parts, axis=1)
     return pieces[:, rng.permutation(pieces.shape[1])[:n]]
 
@@ -54,7 +57,6 @@ def shade(workspace, view):
 @pytest.mark.parametrize("kind", WORKSPACES)
 @example(902, False)  # a sight 8e-9 from a corner
 @given(st.integers(0, 100_000), st.booleans())
-@settings(max_examples=12)
 def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze):
     rng = np.random.default_rng(seed)
     workspace = kind(rng, squeeze)
@@ -83,7 +85,6 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
 
 @pytest.mark.parametrize("kind", WORKSPACES)
 @given(st.integers(0, 100_000))
-@settings(max_examples=8)
 def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
     rng = np.random.default_rng(seed)
     workspace = kind(rng)
@@ -125,3 +126,63 @@ def test_a_wall_and_the_pieces_beside_its_shadow():
     seen, alike = shadows.see(np.zeros(9, int), pieces, pieces.mean(axis=2).T)
     np.testing.assert_array_equal(alike, [1, 1, 0, 0, 1, 1, 1, 1, 1])
     np.testing.assert_array_equal(seen[alike], [1, 0, 1, 1, 0, 1, 1])
+
+
+@given(st.integers(0, 100_000))
+def test_boxes_are_one_piece_if_no_wall_reaches_into_them(seed):
+    rng = np.random.default_rng(seed)
+    workspace = WORKSPACES[seed % 3](rng)
+    visibility, triangulation = corner_visibility(workspace), workspace.triangulation
+    lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
+    lists = turns_by_triangle(visibility, triangulation)
+    found = CellSight.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
+    walls = shapely.multilinestrings(list(shapely.linestrings(workspace.boundary.segments)))
+    reach = shapely.length(shapely.intersection(walls, shapely.box(*(lo + 1e-9).T, *(hi - 1e-9).T)))
+    is_free = np.isin(np.arange(30), found.cell[found.triangle < 0])
+    assert not is_free[reach > 1e-6].any()
+    clear = shapely.distance(walls, shapely.box(*lo.T, *hi.T)) > 1e-9
+    count = np.diff(found.first_piece)
+    assert (count[clear] <= 1).all() and (count[is_free] == 1).all()
+    area = np.bincount(found.cell, areas(found.pieces), 30)
+    exact = shapely.area(shapely.intersection(workspace.free_space, shapely.box(*lo.T, *hi.T)))
+    np.testing.assert_allclose(area, exact, atol=1e-9)
+    # Each cell lists the corners that some point of it sees along a line with both walls there on one side.
+    x = lo[:, None] + rng.random((30, 8, 2)) * (hi - lo)[:, None]
+    corner, points = np.arange(len(visibility.corners.points)), x.reshape(-1, 2)
+    point, seen = np.nonzero(
+        visibility.corners.is_tangent_to(corner, points[:, None])
+        & workspace.is_visible(
+            np.repeat(points, len(corner), axis=0), np.tile(visibility.corners.points, (len(points), 1))
+        ).reshape(len(points), -1)
+        & (workspace.clearance(points) > 1e-6)[:, None]
+    )
+    contacts = workspace.boundary.vertices[workspace.boundary.contacts]
+    usual = ~(visibility.corners.points[seen][:, None] == contacts).all(axis=2).any(axis=1)
+    cell, listed, by_all = corners_of_cells(found)
+    assert set(zip((point // 8)[usual].tolist(), seen[usual].tolist(), strict=True)) <= set(
+        zip(cell.tolist(), listed.tolist(), strict=True)
+    )
+    some = np.flatnonzero(by_all)[:50]
+    for k in some:
+        inside = points_of(rng, found.pieces[:, found.cell == cell[k]], 5).reshape(-1, 2)
+        assert visibility.table.sees(np.full(len(inside), listed[k]), inside).all()
+
+
+def test_a_wall_along_the_side_of_a_box_is_not_in_it():
+    workspace = Workspace(TEN, [box(4, 4, 6, 6)])
+    lo = np.array([[2.0, 4], [6, 6], [3, 3], [4.5, 4.5], [0, 0]])
+    hi = np.array([[4.0, 6], [7, 7], [5, 5], [5, 5], [10, 10]])
+    oracle = VisibilityGraph(workspace, (1, 1))
+    found = oracle.sources_of_boxes(lo, hi)
+    np.testing.assert_array_equal(np.isin(np.arange(5), found.cell[found.triangle < 0]), [1, 1, 0, 0, 0])
+
+
+def test_the_goal_is_never_asked_and_corners_where_paths_wrap_around_them():
+    """From behind a wall paths to (1, 5) turn at its upper corners, from in front of it at none."""
+    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
+    sight, named = oracle.sight, {tuple(point): i for i, point in enumerate(oracle.sources.points.tolist())}
+    assert sight.named.turn[0] == -1 and (sight.named.turn[1:] >= 0).all()
+    in_front_and_behind = as_pieces([box(2, 4, 3, 5), box(8, 6, 9, 7)])
+    for source, bends in {(1, 5): [True, True], (4, 8): [False, False], (6, 8): [False, True]}.items():
+        found = sight.may_bend(in_front_and_behind, np.full(2, named[source]))
+        np.testing.assert_array_equal(found, bends)

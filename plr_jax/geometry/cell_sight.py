@@ -1,0 +1,412 @@
+"""Which corners the cells of a partition see: for one goal, for many goals, or for none in particular.
+
+The free part of a cell is cut into convex *pieces*: a box that no wall reaches into is one piece, elsewhere they are
+parts of the triangles of free space. Cells are halved again and again, and each half inherits the pieces of its cell
+and the *sources* that some point of a piece may go to first: corners, or the goal. A source is left out as soon as no
+path from the piece can turn there, or no point of the piece sees it.
+
+Inside a free piece, the part that a viewpoint sees and the rest are separated by *shadows* alone: the rays from a
+corner onward, between the nearer wall that ends there and the farther wall behind. If no shadow crosses a piece, all
+of the piece is seen or hidden, as its center is.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import parts, run_members, runs
+from plr_jax._types import Sources
+from plr_jax.geometry.convex_pieces import (
+    PartCorner,
+    PartIndex,
+    PartSide,
+    Pieces,
+    areas,
+    boxes_as_pieces,
+    centers,
+    clip_to_boxes,
+    contain,
+    cut_parts,
+    following,
+    highest,
+    lowest,
+)
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
+from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.vectors import pseudo_angle, turned_left
+from plr_jax.geometry.visibility import VisibilityTable, triangles_within
+
+_ROUNDING = 1e-3  # of a direction or a point, in tolerances of the workspace
+_CHUNK = 1 << 16  # pairs of a piece and a source that are tested together where there are many
+
+OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
+Corners: TypeAlias = Float[np.ndarray, "cells 2"]
+SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
+"""Sources that see some of each triangle: the first entry of each triangle and their number, and the sources."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """The shadows around viewpoints, sorted by viewpoint and direction.
+
+    Directions have *keys*: the pseudo-angle counterclockwise from the viewpoint's *cut*, 4 for a full turn.
+
+    Attributes:
+        table: The viewpoints and what they see.
+        key: Direction of each shadow, plus 4 times the number of its viewpoint.
+        unit: The direction as a unit vector.
+        start: Distance from the viewpoint at which the shadow starts.
+        end: Distance at which it ends.
+    """
+
+    table: VisibilityTable
+    key: Float[np.ndarray, "shadows"]
+    unit: Float[np.ndarray, "shadows 2"]
+    start: Float[np.ndarray, "shadows"]
+    end: Float[np.ndarray, "shadows"]
+
+    @staticmethod
+    def of(table: VisibilityTable) -> "Shadows":
+        """Find the shadows of all viewpoints of a table."""
+        view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
+        row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
+        view = view[row]
+        # 1. Unit vectors of the directions, from their pseudo-angles.
+        angle, (cx, cy) = table.key[row] - 4.0 * view, table.cut[view].T
+        x = np.where(angle <= 2, 1 - angle, angle - 3)
+        y = np.where(angle <= 2, 1, -1) * (1 - np.abs(x))
+        unit = np.stack([cx * x - cy * y, cx * y + cy * x], axis=1)
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+        # 2. Distances along each direction to the lines of the walls on both sides of it; 0 without a wall.
+        reach = []
+        for edge in (table.edge[row - 1], table.edge[row]):
+            normal = table.boundary.normal[edge]
+            height = (normal * table.points[view]).sum(axis=1) - table.boundary.offset[edge]
+            toward = -(normal * unit).sum(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                reach.append(np.where(edge < 0, 0.0, np.maximum(height, 0) / np.maximum(toward, 0)))
+        start, end = np.minimum(*reach), np.maximum(*reach)
+        long = np.flatnonzero(end - start > table.tolerance)
+        return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
+
+    def see(
+        self, view: Int[np.ndarray, "pieces"], pieces: Pieces, center: Float[np.ndarray, "pieces 2"]
+    ) -> tuple[OfPieces, OfPieces]:
+        """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
+        point, tolerance = self.table.points[view], self.table.tolerance
+        seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
+        first, last, wraps = self._directions(view, pieces)
+        # Shadows whose directions lie strictly inside each piece that does not hold its viewpoint.
+        some = np.flatnonzero(~contain(pieces, point[:, None], tolerance)[:, 0])
+        again = some[wraps[some]]  # those on both sides of the cut are looked up twice
+        begin = 4.0 * view[np.concatenate([some, again])]
+        end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
+        begin[: len(some)] += first[some]
+        low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
+        run, place = runs(np.maximum(high - low, 0))
+        shadow, owner = low[run] + place, np.concatenate([some, again])[run]
+        # A shadow crosses a piece if it holds the middle of the chord that its ray cuts out.
+        ux, uy = self.unit[shadow].T[:, :, None]
+        dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
+        along, beside = ux * dx + uy * dy, ux * dy - uy * dx
+        next_along, next_beside = following(along), following(beside)
+        crosses = (beside >= 0) != (next_beside >= 0)
+        share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
+        at = along + share * (next_along - along)
+        near, far = lowest(np.where(crosses, at, np.inf)), highest(np.where(crosses, at, -1.0))
+        middle = np.where(far > 0, (near + far) / 2, np.inf)
+        is_whole[owner[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
+        return seen, is_whole
+
+    def _directions(
+        self, view: Int[np.ndarray, "pieces"], pieces: Pieces
+    ) -> tuple[Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"], OfPieces]:
+        """First and last key strictly inside each piece, and whether the cut lies between them."""
+        dx = pieces[0] - self.table.points[view, 0, None]
+        dy = pieces[1] - self.table.points[view, 1, None]
+        cx, cy = self.table.cut[view].T[:, :, None]
+        key = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
+        distance = np.sqrt(dx * dx + dy * dy)
+        rounding = _ROUNDING * self.table.tolerance
+        blur = rounding / np.maximum(distance, rounding)
+        apart = distance > self.table.tolerance
+        wraps = highest(np.where(apart, key, -np.inf)) - lowest(np.where(apart, key, np.inf)) > 2
+        key += np.where(wraps[:, None] & (key < 2), 4.0, 0.0)
+        first = lowest(np.where(apart, key + blur, np.inf))
+        last = highest(np.where(apart, key - blur, -np.inf))
+        beyond = np.where(first >= 4, 4.0, 0.0)
+        return first - beyond, last - beyond, wraps & (first < 4)
+
+
+def turns_by_side(corners: ReflexCorners) -> TurnPoints:
+    """Return two turns for each corner, ``2 * corner + side``, whatever the way onward.
+
+    The line from a point to a corner must have both walls of the corner on one side. From any other point the path
+    would cut off a part of the obstacle, so no shortest path turns there.
+    """
+    opens, closes = turned_left(corners.walls)
+    normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
+    points = np.repeat(corners.points, 2, axis=0)
+    return TurnPoints(np.arange(len(points)), points, np.zeros(len(points)), normal, corners.slack)
+
+
+def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> SourceLists:
+    """Return the turns of :func:`turns_by_side` that see some of each triangle of free space."""
+    visits, (right, left) = [], turns_by_side(visibility.corners).bounds
+    for side in range(2):
+        view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
+        visits.append(np.stack([2 * view + side, triangle]))
+    return views_by_triangle(triangulation, np.concatenate(visits, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class SightedSources:
+    """Sources, the viewpoint of each, and the turn that a path makes there.
+
+    Attributes:
+        sources: Where the sources are, and their distances.
+        view: The viewpoint of each source.
+        turn: The turn of each source; -1 for a goal, where paths end.
+        kind: Of equal sources in a cell, no two of one kind, the one of the first kind is taken.
+    """
+
+    sources: Sources
+    view: Int[np.ndarray, "sources"]
+    turn: Int[np.ndarray, "sources"]
+    kind: Int[np.ndarray, "sources"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What decides which sources a piece may use.
+
+    Attributes:
+        named: The sources: a :class:`SightedSources`, or what has its attributes.
+        shadows: What the viewpoints see.
+        turns: The turns.
+        triangulation: Of free space.
+    """
+
+    named: Any
+    shadows: Shadows
+    turns: TurnPoints
+    triangulation: Triangulation
+
+    @property
+    def tolerance(self) -> float:
+        """How far behind a wall a point still counts as free."""
+        return self.shadows.table.tolerance
+
+    @cached_property
+    def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
+        """Which sides of the triangles are walls."""
+        return (self.triangulation.wall >= 0).reshape(-1, 3)
+
+    def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> OfPieces:
+        """Return whether a shortest path from some point of each piece may turn at its source, if seen from there."""
+        turn = self.named.turn[source]
+        may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
+        turn, (x, y) = turn[corner], pieces[:, corner]
+        for normal in self.turns.normal[:, turn]:
+            height = highest(x * normal[:, :1] + y * normal[:, 1:])
+            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
+        return may
+
+
+@dataclass(frozen=True, eq=False)
+class CellSight:
+    """The free convex pieces of cells, and pairs of a piece and a source that some point of it may go to first.
+
+    Pieces stand cell by cell, pairs piece by piece. Every statement holds to within :attr:`slack`.
+
+    Attributes:
+        sight: What decides which sources a piece may use.
+        num_cells: How many cells.
+        cell: The cell of each piece.
+        pieces: The pieces.
+        triangle: The triangle that each piece is a part of; -1 for a box that no wall reaches into.
+        center: A point inside each piece.
+        distance: Distance of each center to the goal, or an upper bound of it if no source is known to see the
+            center; ``inf`` if it was not asked for.
+        best: The source that the shortest path from each center goes to, or one near it; 0 if it was not asked for.
+        piece: The piece of each pair.
+        source: The source of each pair.
+        by_all: Whether every point of the piece sees the source.
+    """
+
+    sight: Sight
+    num_cells: int
+    cell: Int[np.ndarray, "pieces"]
+    pieces: Pieces
+    triangle: Int[np.ndarray, "pieces"]
+    center: Float[np.ndarray, "pieces 2"]
+    distance: Float[np.ndarray, "pieces"]
+    best: Int[np.ndarray, "pieces"]
+    piece: Int[np.ndarray, "pairs"]
+    source: Int[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]
+
+    @classmethod
+    def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
+        """Return the pieces of boxes, each a cell, and of the sources that see their triangles those that matter."""
+        first, source = lists
+        triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
+        pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
+        chunks = []
+        for chunk in parts(np.diff(first)[triangle], _CHUNK) or [slice(0, 0)]:
+            entry, piece = run_members(first, triangle[chunk])
+            count, part = len(cell[chunk]), pieces[:, chunk]
+            unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
+            found = cls(sight, len(lo), cell[chunk], part, triangle[chunk], centers(part), *unknown)
+            chunks.append(found.settled(np.ones(count, bool)))
+        found = chunks[0].append(*chunks[1:])
+        found = replace(found, num_cells=len(lo), cell=found.cell % max(1, len(lo)))
+        return found.with_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
+
+    @property
+    def slack(self) -> float:
+        """How far any bound may be off, as free space is known to a tolerance."""
+        return 4 * self.sight.tolerance
+
+    @cached_property
+    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
+        """First piece of each cell, and the number of pieces."""
+        return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
+
+    @cached_property
+    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
+        """First pair of each piece, and the number of pairs."""
+        return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
+
+    def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
+        """Return some of the cells, in any order, perhaps repeated."""
+        rows, cell = run_members(self.first_piece, cells)
+        return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
+
+    def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
+        """Return some of the pieces, of the same cells."""
+        if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
+            return self
+        pairs, piece = run_members(self.first_pair, rows)
+        columns = {name: getattr(self, name)[rows] for name in ("cell", "triangle", "center", "distance", "best")}
+        return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
+
+    def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
+        """Return some of the pairs, in their order."""
+        return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
+
+    def append(self, *others: Self) -> Self:
+        """Return these cells followed by others."""
+        several = (self, *others)
+        columns = {
+            name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))
+            for name in ("cell", "pieces", "triangle", "center", "distance", "best", "piece", "source", "by_all")
+        }
+        # Cells and pieces are numbered on from one part to the next.
+        for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
+            columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
+        return replace(self, num_cells=sum(each.num_cells for each in several), **columns)
+
+    def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
+        """Return parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
+        part, is_cut = self.cut(parent, axis, is_upper, lo, hi)
+        return part.with_free_boxes(is_cut, lo, hi)
+
+    def cut(
+        self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
+    ) -> tuple[Self, OfPieces]:
+        """Return parts of the cells with all that their pieces inherit, and which pieces were cut."""
+        pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
+        return replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
+
+    def with_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
+        """Make one piece of each box that no wall reaches into, and settle what has changed.
+
+        Walls in a box are sides of the triangles that its pieces are parts of.
+        """
+        cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
+        rows, of = run_members(self.first_piece, cells)
+        row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
+        triangle, of = self.triangle[rows[row]], of[row]
+        start, end = (self.sight.triangulation.triangles[triangle, each] for each in (side, (side + 1) % 3))
+        # A wall reaches into a box unless a side of the box, or the line of the wall, separates them.
+        from_middle, half = (start + end) / 2 - ((lo + hi) / 2)[cells[of]], ((hi - lo) / 2)[cells[of]]
+        along = np.abs(end - start) / 2
+        beside = np.abs(from_middle[:, 0] * (end - start)[:, 1] - from_middle[:, 1] * (end - start)[:, 0])
+        meets = (np.abs(from_middle) < half + along).all(axis=1) & (beside < 2 * (along * half[:, ::-1]).sum(axis=1))
+        is_free = np.zeros(self.num_cells, bool)
+        is_free[cells] = ~np.isin(np.arange(len(cells)), of[meets])
+        is_merged = is_free[self.cell]
+        stays = (areas(self.pieces) > 0) & ~is_merged
+        if is_free.any():
+            # The piece that is the whole box has the sources of all, none of them known to be seen by all of it.
+            owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(stays)))
+            keys = owner[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
+            pieces, triangle = self.pieces.copy(), self.triangle.copy()
+            whole = self.first_piece[:-1][is_free]
+            pieces[:, whole], triangle[whole], stays[whole] = boxes_as_pieces(lo[is_free], hi[is_free]), -1, True
+            found = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
+            found = replace(found, piece=owner[found.piece], by_all=found.by_all & ~is_merged[found.piece])
+        kept = np.flatnonzero(stays)
+        return replace(found.of_pieces(kept), num_cells=len(lo)).settled((changed | is_merged)[kept])
+
+    def settled(self, changed: OfPieces) -> Self:
+        """Leave out sources at which no path from a changed piece turns, or which no point of it sees."""
+        found = self.recentered(changed)
+        by_all, _, keep = found.judged(np.flatnonzero(changed[self.piece]))
+        return replace(found, by_all=by_all).of_pairs(keep)
+
+    def recentered(self, changed: OfPieces) -> Self:
+        """Find the centers of changed pieces, and an upper bound of their distances: by way of the center before.
+
+        That one is in the same convex piece, or in the box that is one piece now.
+        """
+        center = self.center.copy()
+        center[changed] = centers(self.pieces[:, changed])
+        return replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
+
+    def judged(
+        self, pairs: Int[np.ndarray, "some"]
+    ) -> tuple[Bool[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]:
+        """Return whether all of its piece sees each source, whether the center does, and which pairs may matter.
+
+        Only the given pairs are tested: the others stay, and are taken to be seen by the center.
+        """
+        bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
+        keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
+        by_center[pairs], keep[pairs] = by_all[pairs], bends
+        pairs = pairs[bends & ~by_all[pairs]]
+        piece, view = self.piece[pairs], self.sight.named.view[self.source[pairs]]
+        seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], self.center[piece])
+        by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
+        return by_all, by_center, keep
+
+
+def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
+    """Return what decides at which corners paths from a piece may turn first, towards any goal.
+
+    The sources are the turns of :func:`turns_by_side`, of which no distances are known.
+    """
+    turns = turns_by_side(visibility.corners)
+    sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
+    named = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
+    return Sight(named, Shadows.of(visibility.table), turns, triangulation)
+
+
+def corners_of_cells(
+    found: CellSight,
+) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
+    """Return the corners at which paths from each cell may turn first, of sources as :func:`corner_sight` has them.
+
+    Returns:
+        Cells, ascending, and corners; and whether all of the cell sees the corner.
+    """
+    count = np.int64(len(found.sight.turns.points) // 2)
+    of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
+    piece, corner = np.divmod(of_piece, count)
+    key, index = np.unique(found.cell[piece] * count + corner, return_inverse=True)
+    cell, corner = np.divmod(key, count)
+    return cell, corner, np.bincount(index, found.by_all[first], len(key)) == np.diff(found.first_piece)[cell]

@@ -1,0 +1,336 @@
+"""Which sources the points of cells may go to first on their way to a goal: for one goal, or for many at once.
+
+A source is the goal or a corner, with its distance to the goal. A point uses a source if its shortest path goes
+straight there first.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+
+from plr_jax._arrays import mixed
+from plr_jax._types import Sources
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.cell_sight import (
+    CellSight,
+    OfPieces,
+    Shadows,
+    Sight,
+    SightedSources,
+    SourceLists,
+    corner_sight,
+    turns_by_triangle,
+)
+from plr_jax.geometry.convex_pieces import PartCorner, PartIndex, PartSide, contain, difference_of_cones
+from plr_jax.geometry.corners import CornerVisibility, TurnPoints, TurnRegions
+from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables
+
+_LEAD = 1 / 128
+"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
+_STEP = 2.0**-44  # of the domain's width: in such steps distances beyond the least are kept
+
+GoalTurns = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
+"""What a goal sees, and the kinds of the corners that may bend a shortest path to it, with their distances."""
+
+
+class VisibleSources(CellSight):
+    """The sources of cells, of which those are left out that no point of a piece needs.
+
+    The distance of each center is known. Pieces from which the goal cannot be reached are left out.
+    """
+
+    @property
+    def sources(self) -> Sources:
+        """All sources."""
+        return self.sight.named.sources
+
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
+        """Return whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
+        return contain(self.pieces[:, piece], points, self.sight.tolerance)
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Return whether points are seen by sources."""
+        return self.sight.shadows.table.sees(self.sight.named.view[source], points)
+
+    def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the order of sources in which the first of equals is taken."""
+        return self.sight.named.kind[source]
+
+    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
+        """Return some pieces, each a cell of its own."""
+        return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
+
+    def settled(self, changed: OfPieces) -> Self:
+        """Leave out sources of changed pieces that no point of them uses, and pieces from which no path leads on."""
+        found = self.recentered(changed)
+        by_all, by_center, keep = found.judged(np.flatnonzero(changed[found.piece] & ~found.by_all))
+        # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
+        keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
+        return replace(found, by_all=by_all).of_pairs(keep).undominated(changed, by_center[keep])
+
+    def undominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
+        """Find the distances of the centers of changed pieces, and leave out pairs that another one beats everywhere.
+
+        A center that no source is known to see keeps the bound of its distance. A source is also beaten where the way
+        by the center is shorter from every point of the piece.
+        """
+        sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
+        # 1. The best source of each center: of equals one that all of the piece sees.
+        piece, source = self.piece[pairs], self.source[pairs]
+        length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
+        order = np.lexsort((self.rank(source), ~self.by_all[pairs], length, piece))
+        order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
+        best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
+        best_pair[piece[order]], distance[piece[order]], best[piece[order]] = (
+            pairs[order],
+            length[order],
+            source[order],
+        )
+        # 2. Other sources, against the best one if all of the piece sees it, else against the way by the center.
+        by_best = np.append(self.by_all, False)[best_pair]
+        several = np.bincount(self.piece, minlength=len(changed)) > 1
+        rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])
+        rivals = rivals[best_pair[self.piece[rivals]] != rivals]
+        piece, source = self.piece[rivals], self.source[rivals]
+        apex = np.where(by_best[piece, None], sources.points[best[piece]], self.center[piece])
+        offset = np.where(by_best, sources.distances[best], distance)[piece]
+        lowest, _ = difference_of_cones(
+            self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
+        )
+        keep = np.isfinite(distance)[self.piece]
+        keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
+        found = replace(self, distance=distance, best=best).of_pairs(keep)
+        return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
+
+
+def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
+    """Return what decides which of the sources of one goal a piece may use: the goal, then the corners."""
+    each = np.arange(len(sources.points))
+    turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
+    turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
+    return Sight(SightedSources(sources, each, turn, each), Shadows.of(table), turns, triangulation)
+
+
+def lists_of_goal(regions: TurnRegions) -> SourceLists:
+    """Return the sources that points of each triangle may use: the goal, and the turns that see some of it."""
+    first, turns = regions.first, regions.turns.vertex[regions.turn]
+    return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
+
+
+# Many goals of one workspace.
+
+
+class SharedSources:
+    """Numbers for the sources of many goals, so that cells that differ by a constant between goals have the same.
+
+    The best source of a piece, and how far others are from it, depends only on differences between the sources'
+    distances. Behind a corner these are the same for all goals that are reached by way of it. So the sources of each
+    cell are counted from the nearest, and a source with its distance from there is kept once. A *kind* is a corner
+    and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
+
+    Args:
+        points: The viewpoints, ``(views, 2)``: the corners, then the goals.
+        num_turns: Twice the number of corners: the first kinds are theirs.
+        step: Distances are kept as multiples of it, so that those that differ by rounding are equal.
+    """
+
+    def __init__(self, points: Float[np.ndarray, "views 2"], num_turns: int, step: float) -> None:
+        self._points, self._num_turns, self._step = points, num_turns, step
+        self.kind, self._steps = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self._sorted, self._place = np.zeros(0, np.uint64), np.zeros(0, np.int64)
+        self._sources: Sources | None = None
+
+    def numbers(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the number of each of some sources; new sources get new numbers, in the order in which they come."""
+        steps = np.rint(distance / self._step).astype(np.int64)
+        hashes = mixed(kind) + mixed(steps ^ np.int64(1 << 62))
+        keys, first, index = np.unique(hashes, return_index=True, return_inverse=True)
+        at = np.searchsorted(self._sorted, keys)
+        known = at < len(self._sorted)
+        known[known] = self._sorted[at[known]] == keys[known]
+        place = np.empty(len(keys), np.int64)
+        place[known] = self._place[at[known]]
+        new = np.flatnonzero(~known)
+        if len(new):
+            order = np.argsort(first[new])
+            place[new[order]] = len(self.kind) + np.arange(len(new))
+            self.kind = np.concatenate([self.kind, kind[first[new[order]]]])
+            self._steps = np.concatenate([self._steps, steps[first[new[order]]]])
+            self._sorted = np.insert(self._sorted, at[new], keys[new])
+            self._place = np.insert(self._place, at[new], place[new])
+            self._sources = None
+        return place[index]
+
+    @property
+    def view(self) -> Int[np.ndarray, "sources"]:
+        """The viewpoint of each."""
+        return self.kind >> 1
+
+    @property
+    def turn(self) -> Int[np.ndarray, "sources"]:
+        """The turn of each, -1 of goals."""
+        return np.where(self.kind < self._num_turns, self.kind, -1)
+
+    @property
+    def sources(self) -> Sources:
+        """Where they are, and their distances."""
+        if self._sources is None:
+            self._sources = Sources(self._points[self.view], self._steps * self._step, np.arange(len(self.kind)))
+        return self._sources
+
+
+class FamilySources(VisibleSources):
+    """The sources of distinct cells: of cells of several goals that are alike but for a constant, one."""
+
+    def distinct_parts(
+        self,
+        parent: PartIndex,
+        axis: PartIndex,
+        is_upper: PartSide,
+        lo: PartCorner,
+        hi: PartCorner,
+        cell: UInt64[np.ndarray, "parts"],
+    ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "distinct"], PartIndex]:
+        """Return the distinct ones of parts of cells, their keys, a part that each is, and which one each part is.
+
+        Parts are distinct if the hashes of their boxes differ, or their pieces or pairs.
+        """
+        inherited, changed = self.cut(parent, axis, is_upper, lo, hi)
+        first, index = _distinct(inherited.keys(cell))
+        changed = changed[np.isin(inherited.cell, first)]
+        settled = inherited.of_cells(first).with_free_boxes(changed, lo[first], hi[first]).counted_from_least()
+        return settled, settled.keys(cell[first]), first, index
+
+    def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the viewpoints of sources: corners in their order, then goals in theirs."""
+        return self.sight.named.view[source]
+
+    def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
+        """Return a hash of each cell: of its box, given by a hash, and of its pieces and pairs."""
+        pair = mixed(self.source * 2 + self.by_all) + mixed(self.triangle[self.piece] + (1 << 40))
+        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(mixed(pair), dtype=np.uint64)])
+        return mixed(np.diff(total[self.first_pair[self.first_piece]])) + cell
+
+    def counted_from_least(self) -> "FamilySources":
+        """Return the same with distances of sources beyond the least of their cell."""
+        named, distances = self.sight.named, self.sources.distances
+        least = np.full(self.num_cells, np.inf)
+        np.minimum.at(least, self.cell[self.piece], distances[self.source])
+        least = np.where(np.isfinite(least), least, 0.0)
+        source, best, distance = self.source.copy(), self.best.copy(), self.distance - least[self.cell]
+        for column, beyond in ((source, least[self.cell[self.piece]]), (best, least[self.cell])):
+            rows = np.flatnonzero(beyond > 0)
+            column[rows] = named.numbers(named.kind[column[rows]], distances[column[rows]] - beyond[rows])
+        return replace(self, source=source, best=best, distance=distance)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedCells:
+    """Boxes of a workspace, their free convex pieces, and which corners see them: the same for all goals.
+
+    Attributes:
+        corners: All corners.
+        cells: The boxes. Their sources are turns, as :func:`turns_by_side` numbers them.
+        radius: Largest distance from the center of each piece to a point of it.
+        length: Distance from the corner of each pair to the center of its piece.
+        by_center: Whether the center sees the corner.
+        step: Distances beyond the least are kept in such steps.
+    """
+
+    corners: CornerVisibility
+    cells: CellSight
+    radius: Float[np.ndarray, "pieces"]
+    length: Float[np.ndarray, "pairs"]
+    by_center: Bool[np.ndarray, "pairs"]
+    step: float
+
+    @staticmethod
+    def of(
+        corners: CornerVisibility, triangulation: Triangulation, domain: Box, lo: PartCorner, hi: PartCorner
+    ) -> "SharedCells":
+        """Return what goals share of some boxes in a domain."""
+        lists = turns_by_triangle(corners, triangulation)
+        cells = CellSight.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
+        radius = np.sqrt(np.square(cells.pieces - cells.center.T[:, :, None]).sum(axis=0).max(axis=1))
+        view, center = cells.source >> 1, cells.center[cells.piece]
+        length = np.linalg.norm(center - corners.corners.points[view], axis=1)
+        step = _STEP * float(domain.width.max())
+        return SharedCells(corners, cells, radius, length, corners.table.sees(view, center), step)
+
+    def of_goals(
+        self, goals: Sequence[GoalTurns]
+    ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
+        """Return the distinct cells of all goals, their keys, and which one each goal's cells are, -1 for none."""
+        cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
+        named = SharedSources(table.points, len(cells.sight.turns.points), self.step)
+        sight = replace(cells.sight, named=named, shadows=Shadows.of(table))
+        # 1. All cells of all goals: pairs sorted by goal, piece and kind.
+        of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight.shadows)
+        order = np.lexsort((kind, piece, of_goal))
+        row, piece = _numbered((of_goal * len(cells.cell) + piece)[order])
+        number, row = np.divmod(row, len(cells.cell))
+        node, cell = _numbered(number * cells.num_cells + cells.cell[row])
+        least = np.full(len(node), np.inf)
+        np.minimum.at(least, cell[piece], distance[order])
+        source = named.numbers(kind[order], distance[order] - least[cell[piece]])
+        of_pieces = (getattr(cells, name)[row] for name in ("triangle", "center", "distance", "best"))
+        of_pairs = piece, source, by_all[order]
+        found = FamilySources(sight, len(node), cell, cells.pieces[:, row], *of_pieces, *of_pairs)
+        # 2. Those that differ by more than a constant.
+        box = mixed(node % cells.num_cells)
+        first, index = _distinct(found.keys(box))
+        by_center = by_center[order][np.isin(cell[piece], first)]
+        found = found.of_cells(first)
+        found = found.undominated(np.ones(len(found.cell), bool), by_center).counted_from_least()
+        result = np.full(len(goals) * cells.num_cells, -1)
+        result[node] = np.where(np.diff(found.first_piece)[index] > 0, index, -1)
+        return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
+
+    def _pairs(self, goals: Sequence[GoalTurns], shadows: Shadows) -> tuple[np.ndarray, ...]:
+        """Goal, piece, kind, distance, and whether all of it or its center is seen, of all pairs that may matter."""
+        cells, table, columns = self.cells, shadows.table, []
+        lowest, highest = cells.pieces.min(axis=2).T, cells.pieces.max(axis=2).T
+        first, num_corners = np.unique(cells.piece, return_index=True)[1], len(self.corners.corners.points)
+        of_first, radius = cells.piece[first], self.radius[cells.piece]
+        for number, (own, kinds, distances) in enumerate(goals):
+            # 1. Pieces that the goal may see: near the walls that it looks at, and itself.
+            ends = np.append(own.boundary.segments[own.edge[own.edge >= 0]].reshape(-1, 2), own.points, axis=0)
+            lo, hi = ends.min(axis=0) - table.tolerance, ends.max(axis=0) + table.tolerance
+            view, near = num_corners + number, np.flatnonzero(((lowest <= hi) & (highest >= lo)).all(axis=1))
+            by_center, is_whole = shadows.see(np.full(len(near), view), cells.pieces[:, near], cells.center[near])
+            some = by_center | ~is_whole
+            near, by_center, by_all = near[some], by_center[some], (by_center & is_whole)[some]
+            goal, kind, none = np.full(len(near), number), np.full(len(near), 2 * view), np.zeros(len(near))
+            columns.append((goal, near, kind, none, by_all, by_center))
+            # 2. Corners by which the way to some point of a piece may be shorter than another way is to all of it.
+            most = np.full(len(cells.cell), np.inf)
+            beyond = np.linalg.norm(cells.center[near] - table.points[view], axis=1) + self.radius[near]
+            most[near[by_all]] = beyond[by_all]
+            distance = np.full(2 * num_corners, np.inf)
+            distance[kinds] = distances
+            distance = distance[cells.source]
+            way = distance + self.length
+            if len(first):
+                farthest = np.minimum.reduceat(np.where(cells.by_all, way + radius, np.inf), first)
+                most[of_first] = np.minimum(most[of_first], farthest)
+            near = np.flatnonzero((way - radius <= most[cells.piece] + table.tolerance) & np.isfinite(way))
+            of_pairs = cells.piece, cells.source, distance, cells.by_all, self.by_center
+            columns.append((np.full(len(near), number), *(column[near] for column in of_pairs)))
+        return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
+
+
+def _numbered(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+    """Return the distinct ones of ascending numbers, and which of them each number is."""
+    new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
+    return keys[new], np.cumsum(new) - 1
+
+
+def _distinct(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+    """Return where each distinct key stands first, ascending, and which of these each key is."""
+    _, first, index = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return first[order], np.argsort(order)[index]
