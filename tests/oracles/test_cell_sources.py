@@ -160,13 +160,16 @@ def test_nothing_is_said_of_what_does_not_reach_the_goal():
 def same(a, b, cells_of_a, cells_of_b):
     """Whether some cells of one are, piece by piece, some cells of another."""
     p, q = (
-        np.concatenate([np.flatnonzero(x.cell == i) for i in cells])
+        np.concatenate([np.zeros(0, int), *(np.flatnonzero(x.cell == i) for i in cells)])
         for x, cells in ((a, cells_of_a), (b, cells_of_b))
     )
     np.testing.assert_array_equal(a.pieces[:, p], b.pieces[:, q])
     for name in ("center", "distance", "best"):
         np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
-    p, q = (np.concatenate([np.flatnonzero(x.piece == k) for k in pieces]) for x, pieces in ((a, p), (b, q)))
+    p, q = (
+        np.concatenate([np.zeros(0, int), *(np.flatnonzero(x.piece == k) for k in pieces)])
+        for x, pieces in ((a, p), (b, q))
+    )
     for name in ("source", "by_all"):
         np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
 
