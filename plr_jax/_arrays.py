@@ -242,6 +242,12 @@ def told(numbers: Float[np.ndarray, "n"]) -> list[float]:
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 
 
+def set_fields(value: object, **fields: object) -> None:
+    """Set the fields of a frozen dataclass while its ``__init__`` runs."""
+    for name, each in fields.items():
+        object.__setattr__(value, name, each)
+
+
 _CHANGES = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")
 
 

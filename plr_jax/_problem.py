@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import as_finite, as_numbers, shortened
+from plr_jax._arrays import as_finite, as_numbers, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
@@ -65,9 +65,9 @@ class Problem:
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
         weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
-        vars(self).update(workspace=workspace, robots=robots, rotation_weight=weight)
+        set_fields(self, workspace=workspace, robots=robots, rotation_weight=weight)
         given = {"starts": starts, "goals": goals}
-        vars(self).update({name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
+        set_fields(self, **{name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
         for name in given:
             _require_free(name, getattr(self, name), robots, workspace)
             _require_apart(name, getattr(self, name), robots, workspace.tolerance)

@@ -104,18 +104,6 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
         assert from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: ROOM.add, r"workspace.with_obstacles\(\[ring\]\)"),
-        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).update, "Of a map that changed make another one"),
-        (
-            lambda: Roadmap.from_workspace(ROOM, (0.5, 0.5), 5).with_workspace,
-            "Of a map that changed make another one",
-        ),
-        (lambda: built().update, r"plr.updated\(oracle\) is one of a map that did"),
-    ],
-)
-def test_what_a_changed_map_needs_is_said(call, message):
-    with pytest.raises(AttributeError, match=message):
-        call()
+def test_what_a_changed_map_needs_is_said():
+    with pytest.raises(AttributeError, match=r"plr.updated\(oracle\) is one of a map that did"):
+        _ = built().update

@@ -543,12 +543,17 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
-_PREPARED = threading.local()
+class _Prepared(threading.local):
+    def __init__(self):
+        self.of_owner: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
+
+
+_PREPARED = _Prepared()
 
 
 def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
     """An owner's geometry, prepared for many queries of this thread alone: GEOS may crash where two query one."""
-    of_owner = vars(_PREPARED).setdefault("geometries", WeakKeyDictionary()).setdefault(owner, {})
+    of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])

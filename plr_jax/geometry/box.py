@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened, told
+from plr_jax._arrays import (
+    as_bool,
+    as_finite_point,
+    as_numbers,
+    as_points,
+    require_integer,
+    set_fields,
+    shortened,
+    told,
+)
 from plr_jax._types import ArrayLike
 
 _TIE = 1 - 2.0**-40  # with which rounding moves no point that is half a period away
@@ -52,7 +61,7 @@ class Box:
         if len(axes) != lo.size:
             raise ValueError(f"Box periodic must be {lo.size} bools, one an axis, got {shortened(periodic)}.")
         periodic = tuple(as_bool("Each of Box periodic", axis) for axis in axes)
-        vars(self).update(lo=lo, hi=hi, periodic=periodic)
+        set_fields(self, lo=lo, hi=hi, periodic=periodic)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":

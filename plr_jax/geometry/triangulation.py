@@ -121,7 +121,7 @@ class Triangulation:
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
         """The triangle that holds each point: of a few, before there is a locator, by looking at all triangles."""
-        if len(x) > _FEW or "locator" in vars(self):
+        if len(x) > _FEW or "locator" in self.__dict__:
             return self.locator.find(x)
         sides = np.roll(self.triangles, -1, axis=1) - self.triangles
         return np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)

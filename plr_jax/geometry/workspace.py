@@ -18,15 +18,14 @@ from plr_jax._arrays import (
     as_points,
     deadline_after,
     is_of_jax,
-    no_attribute,
     require_integer,
+    set_fields,
     shortened,
 )
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import (
     Boundary,
     Region,
-    RingEdges,
     advice_on_cells,
     are_crossed,
     as_bounds,
@@ -72,6 +71,7 @@ class Workspace:
             rings, multipolygons and collections of them, in any iterable; or one such Shapely geometry.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
             a single point. The point itself is free either way.
+        region: The free space and its boundary, if they are known; ``obstacles`` are then taken as they are.
 
     Attributes:
         bounds: The region's Box.
@@ -80,6 +80,7 @@ class Workspace:
         squeeze: As given.
         free_space: The free space as a valid, normalized Shapely Polygon or MultiPolygon without collinear
             vertices.
+        boundary: The boundary of free space as vertices and edges, free space on the left of each edge.
 
     Raises:
         ValueError: If the bounds are not a 2-D box or have a periodic axis, an obstacle is not a simple polygon of
@@ -91,20 +92,34 @@ class Workspace:
     obstacles: tuple[Polygon | MultiPolygon, ...] = field(repr=False)
     squeeze: bool
     free_space: Polygon | MultiPolygon = field(repr=False)
+    boundary: Boundary = field(repr=False)
+    _is_in_place: bool = field(repr=False)
 
-    def __init__(self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False):
-        bounds = as_bounds(bounds)
-        polygons = as_polygons("Obstacle", obstacles)
-        region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
-        free = shapely.difference(region, shapely.union_all(merged))
-        made = Workspace._made(bounds, polygons, as_bool("squeeze", squeeze), region_of(free, bounds))
-        vars(self).update(vars(made))
+    def __init__(
+        self,
+        bounds: Box | ArrayLike,
+        obstacles: Any = (),
+        *,
+        squeeze: bool = False,
+        region: Region | None = None,
+    ):
+        bounds, squeeze = as_bounds(bounds), as_bool("squeeze", squeeze)
+        if region is None:
+            obstacles = as_polygons("Obstacle", obstacles)
+            box, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *obstacles], 8 * grid_of(bounds))
+            region = region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
+        set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, free_space=region.polygon)
+        set_fields(self, boundary=region.boundary, _is_in_place=region.is_in_place)
+        self._prepare()
 
-    if not TYPE_CHECKING:
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        set_fields(self, **state)
+        self._prepare()
 
-        def __getattr__(self, name: str):
-            ring = "workspace.with_obstacles([ring])"
-            raise no_attribute(self, name, f"It does not change: with one more obstacle another one is {ring}.")
+    def _prepare(self) -> None:
+        # GEOS builds an index at the first look, which must not happen in two threads at a time.
+        shapely.prepare(self.free_space)
+        shapely.intersects_xy(self.free_space, *self.bounds.lo)
 
     @classmethod
     def from_polygons(
@@ -176,27 +191,7 @@ class Workspace:
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
         blocked = thicker_than(grid_of(bounds), shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
-        return cls._made(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
-
-    @classmethod
-    def _made(cls, bounds: Box, obstacles: tuple, squeeze: bool, region: Region) -> "Workspace":
-        workspace = cls.restored(bounds, obstacles, squeeze, region.polygon)
-        vars(workspace).update(boundary=region.boundary, _is_in_place=region.is_in_place)
-        return workspace
-
-    @classmethod
-    def restored(cls, bounds: Box, obstacles: tuple, squeeze: bool, free_space: Any) -> "Workspace":
-        """A workspace of another one's attributes, such as a file holds, not rounded once more."""
-        workspace = object.__new__(cls)
-        workspace.__setstate__(
-            {"bounds": bounds, "obstacles": obstacles, "squeeze": squeeze, "free_space": free_space}
-        )
-        return workspace
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        shapely.prepare(self.free_space)  # and look into it, before two threads do so first at a time
-        shapely.intersects_xy(self.free_space, *self.bounds.lo)
+        return cls(bounds, blocked, squeeze=squeeze, region=region_of(free, bounds, rounded))
 
     @property
     def tolerance(self) -> float:
@@ -208,14 +203,18 @@ class Workspace:
         return 1e3 * rounding_of(self.bounds)
 
     @cached_property
-    def boundary(self) -> Boundary:
-        """The boundary of free space as vertices and edges, free space on the left of each edge."""
-        return RingEdges.of(self.free_space, 8 * grid_of(self.bounds)).boundary
-
-    @cached_property
     def triangulation(self) -> Triangulation:
         """Triangles that fill free space between the edges of ``boundary``."""
         return triangulation_of(self.boundary, self.tolerance)
+
+    @property
+    def is_triangulated(self) -> bool:
+        """Whether ``triangulation`` has been computed."""
+        return "triangulation" in self.__dict__
+
+    def use_triangulation(self, triangulation: Triangulation) -> None:
+        """Use a triangulation of ``boundary`` that was found from the one before a change."""
+        set_fields(self, triangulation=triangulation)
 
     @cached_property
     def tables(self) -> "FreeSpace":
@@ -391,7 +390,7 @@ class Workspace:
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else each for i, each in enumerate(self.obstacles)), *added)
-        if not vars(self).get("_is_in_place"):  # or obstacles may not fit into their places any more
+        if not self._is_in_place:  # or obstacles may not fit into their places any more
             return Workspace(self.bounds, obstacles, squeeze=self.squeeze)
         box, grid, removed = shapely.box(*self.bounds.lo, *self.bounds.hi), grid_of(self.bounds), sorted(gone)
         free, opened = self.free_space, [self.obstacles[i] for i in removed]
@@ -405,7 +404,8 @@ class Workspace:
             free = shapely.union(free, opened)
         if added:
             free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
-        return Workspace._made(self.bounds, obstacles, self.squeeze, region_after(free, self.bounds, self.boundary))
+        region = region_after(free, self.bounds, self.boundary)
+        return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
         """Numbers of obstacles that are to be removed; ``ValueError`` if one is none."""

@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_finite_point, as_points
+from plr_jax._arrays import as_finite, as_finite_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, "n"]
@@ -62,7 +62,7 @@ class _Car(ABC):
 
     def __init__(self, goal: ArrayLike, radius: float | int):
         goal = as_finite_point("The goal pose", goal, 3)
-        vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
+        set_fields(self, goal=goal, radius=as_finite("radius", radius, positive=True))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Length of the shortest path from each pose to the goal.

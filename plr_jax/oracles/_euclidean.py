@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_points, as_values, shortened
+from plr_jax._arrays import as_finite_point, as_points, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances, Symmetry
 
 
@@ -84,7 +84,7 @@ class NearestGoal:
                 "NearestGoal needs a list of distance functions, such as VisibilityGraph or PLRs, one a goal, of the "
                 f"same dim, at least one, got {shortened(distance_fns)}."
             )
-        vars(self).update(distance_fns=fns, dim=fns[0].dim)
+        set_fields(self, distance_fns=fns, dim=fns[0].dim)
 
     @property
     def is_lower_bound(self) -> bool:

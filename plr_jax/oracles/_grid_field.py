@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_numbers, as_points, with_inf_for_masked
+from plr_jax._arrays import as_numbers, as_points, set_fields, with_inf_for_masked
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 
@@ -62,7 +62,7 @@ class GridField:
                 "give np.maximum(values, 0) of a field that is negative within the goal."
             )
         numbers.flags.writeable = False
-        vars(self).update(values=numbers, bounds=bounds)
+        set_fields(self, values=numbers, bounds=bounds)
 
     def __repr__(self) -> str:
         return f"GridField({' x '.join(map(str, self.values.shape))} cells, {self.bounds})"

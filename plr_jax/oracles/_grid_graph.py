@@ -1,5 +1,6 @@
 """Shortest paths over the cells of a grid."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import as_finite_point, as_points, shortened
+from plr_jax._arrays import as_finite_point, as_points, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.masks import as_mask
 
@@ -79,9 +80,8 @@ class GridGraph:
         if not cells.size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
-        vars(self).update(free=cells, connectivity=int(connectivity), goal=None)
-        if goal is not None:
-            vars(self).update(goal=self._checked_goal(goal))
+        set_fields(self, free=cells, connectivity=int(connectivity))
+        set_fields(self, goal=None if goal is None else self._checked_goal(goal))
 
     def __repr__(self) -> str:
         rows, columns = self.free.shape
@@ -99,9 +99,10 @@ class GridGraph:
         Raises:
             ValueError: If the goal is in no free cell.
         """
-        graph = object.__new__(GridGraph)
-        shared = {"free": self.free, "connectivity": self.connectivity, "_steps": self._steps}
-        vars(graph).update(shared, goal=self._checked_goal(goal))
+        _ = self._steps  # computed once, for all copies
+        graph = copy(self)
+        graph.__dict__.pop("_to_goal", None)
+        set_fields(graph, goal=self._checked_goal(goal))
         return graph
 
     def __call__(self, x: ArrayLike) -> Distances:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -17,10 +18,10 @@ from plr_jax._arrays import (
     as_finite_point,
     as_point,
     as_points,
-    no_attribute,
     parts,
     require_integer,
     runs,
+    set_fields,
     told,
 )
 from plr_jax._types import ArrayLike, Distances, Points
@@ -274,8 +275,8 @@ class Roadmap:
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
         tree = metric.tree(vertices)
         graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
-        vars(self).update(domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
-        self._assign(graph, tree)
+        set_fields(self, domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
+        self._search(graph, tree)
 
     def __repr__(self) -> str:
         vertices, edges = len(self.graph.vertices), len(self.graph.edges)
@@ -301,12 +302,6 @@ class Roadmap:
         require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str):
-            changed = "Of a map that changed make another one; other goals share it, by with_goal."
-            raise no_attribute(self, name, changed)
-
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """The roadmap of the same samples for another goal: only the goal's own edges are tested.
 
@@ -327,16 +322,14 @@ class Roadmap:
         vertices = np.concatenate([goal[None], samples])
         edges = np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]])
         graph, tree = Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices)
-        oracle = object.__new__(Roadmap)
-        shared = ("domain", "is_free", "is_visible", "radius", "_metric")
-        vars(oracle).update({name: getattr(self, name) for name in shared})
-        oracle._assign(graph, tree)
+        oracle = copy(self)
+        oracle._search(graph, tree)
         return oracle
 
-    def _assign(self, graph: Graph, tree: KDTree) -> None:
+    def _search(self, graph: Graph, tree: KDTree) -> None:
         distances, parents = dijkstra(graph, 0)
         graph.vertices.flags.writeable = distances.flags.writeable = False
-        vars(self).update(graph=graph, distances=distances, _parents=parents, _tree=tree)
+        set_fields(self, graph=graph, distances=distances, _parents=parents, _tree=tree)
 
     @property
     def goal(self) -> Float[np.ndarray, "dim"]:

@@ -16,10 +16,10 @@ import shapely
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after, no_attribute, shortened
+from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after, set_fields, shortened
 from plr_jax._files import write_atomically
 from plr_jax._types import ArrayLike, Distances, Sources
-from plr_jax.geometry.boundary import Boundary, as_polygons
+from plr_jax.geometry.boundary import Boundary, Region, RingEdges, as_polygons, grid_of
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import Sight
 from plr_jax.geometry.changed_distances import ChangedDistances
@@ -62,6 +62,8 @@ class VisibilityGraph:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, ``(2,)``, in closed free space.
         time_limit: Seconds that construction may take. A single call of Shapely is not cut short.
+        shared: What the oracles of one workspace share, as :meth:`with_goal` passes it on; None: it is computed.
+        goal_view: What the goal sees, if it is known; the goal is then known to be free.
 
     Attributes:
         workspace, goal: As given.
@@ -89,10 +91,34 @@ class VisibilityGraph:
     dim: ClassVar[int] = 2
     """Number of coordinates of a point: 2."""
 
-    def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
+    def __init__(
+        self,
+        workspace: Workspace,
+        goal: ArrayLike,
+        *,
+        time_limit: float | int = math.inf,
+        shared: PairDistances | None = None,
+        goal_view: Looked | None = None,
+    ):
         require_workspace(workspace)
         deadline = deadline_after(time_limit)
-        _assign(self, _free_goal(workspace, goal), PairDistances(workspace, corner_visibility(workspace, deadline)))
+        goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
+        if shared is None:
+            shared = PairDistances(workspace, corner_visibility(workspace, deadline))
+        corners = shared.visibility
+        if goal_view is None:
+            view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+            goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+            goal_view = Looked(goal_table, corners.of_vertex[seen])
+        # The goal, vertex 0, is joined to the corners that it sees and that see it.
+        corner = np.setdiff1d(goal_view.corner, [-1])
+        corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
+        edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
+        set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
+        set_fields(self, _goal_table=goal_view.table, _goal_edges=edges)
+        distances, parents = dijkstra(self.graph, 0)
+        turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
+        set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
@@ -106,9 +132,7 @@ class VisibilityGraph:
         Raises:
             ValueError: As for the class.
         """
-        oracle = object.__new__(VisibilityGraph)
-        _assign(oracle, _free_goal(self.workspace, goal), self._pairs)
-        return oracle
+        return VisibilityGraph(self.workspace, goal, shared=self._pairs)
 
     def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
         """The oracle of a workspace that differs here and there, as :meth:`Workspace.with_obstacles` makes one.
@@ -131,19 +155,14 @@ class VisibilityGraph:
         change = Change.between(own.boundary, workspace.boundary)
         if change.is_near(goal, own.tolerance):
             _free_goal(workspace, goal)
-        if "triangulation" not in vars(workspace):
+        if not workspace.is_triangulated:
             if (triangulation := changed_triangulation(own.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
-            vars(workspace)["triangulation"] = triangulation
+            workspace.use_triangulation(triangulation)
         view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-        corners, of_goal = changed_visibility(self._corners, self._of_goal, view, workspace, change)
-        oracle = object.__new__(VisibilityGraph)
-        _assign(oracle, goal, PairDistances(workspace, corners), of_goal)
-        return oracle
-
-    @property
-    def _of_goal(self) -> Looked:
-        return Looked(self._goal_table, self._goal_edges[:, 1] - 1)
+        old_view = Looked(self._goal_table, self._goal_edges[:, 1] - 1)
+        corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
+        return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write what preparing the oracle has found to a file: NumPy arrays in a zip archive, without pickles.
@@ -170,23 +189,15 @@ class VisibilityGraph:
             ValueError: If the file is truncated, corrupt, of another kind, or of another version.
             OSError: If the file cannot be read.
         """
-        oracle = object.__new__(cls)
         try:
             workspace, goal, corners = read_visibility(Path(path))
-            _assign(oracle, _free_goal(workspace, goal), PairDistances(workspace, corners))
+            return cls(workspace, goal, shared=PairDistances(workspace, corners))
         except (ValueError, EOFError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
             reason = str(error).rstrip(".")
             raise ValueError(f"{path} cannot be read as a visibility graph: {reason}.") from error
-        return oracle
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str):
-            changed = "Of a map that changed make another one, by with_workspace, as of another goal by with_goal."
-            raise no_attribute(self, name, changed)
 
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
-        return {field.name: vars(self)[field.name] for field in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
@@ -409,24 +420,6 @@ class VisibilityGraph:
         return distance, turn
 
 
-def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances, of_goal: Looked | None = None) -> None:
-    workspace, corners = pairs.workspace, pairs.visibility
-    if of_goal is None:
-        view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-        goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
-        of_goal = Looked(goal_table, corners.of_vertex[seen])
-    goal_table = of_goal.table
-    # The goal, vertex 0, is joined to the corners that it sees and that see it.
-    corner = np.setdiff1d(of_goal.corner, [-1])
-    corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
-    edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
-    vars(oracle).update(workspace=workspace, goal=goal, _corners=corners, _pairs=pairs)
-    vars(oracle).update(_goal_table=goal_table, _goal_edges=edges)
-    distances, parents = dijkstra(oracle.graph, 0)
-    turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
-    vars(oracle).update(distances=distances, _parents=parents, _turns=turns)
-
-
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     if np.ndim(goal) == 2:
         raise ValueError(
@@ -509,7 +502,10 @@ def read_visibility(path: Path) -> tuple[Workspace, Float[np.ndarray, "2"], Corn
     polygons = as_polygons("Obstacle", obstacles)
     if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
         raise ValueError("its free space is no valid polygon")
-    workspace = Workspace.restored(Box(*arrays["bounds"]), polygons, bool(arrays["squeeze"]), free)
+    bounds = Box(*arrays["bounds"])
+    boundary = RingEdges.of(free, 8 * grid_of(bounds)).boundary
+    region = Region(free, boundary, False)
+    workspace = Workspace(bounds, polygons, squeeze=bool(arrays["squeeze"]), region=region)
     return workspace, arrays["goal"], _corners(arrays, workspace)
 
 

@@ -1,5 +1,6 @@
 """Shortest paths over the voxels of a volume."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -7,7 +8,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
-from plr_jax._arrays import as_finite_point, as_points, shortened
+from plr_jax._arrays import as_finite_point, as_points, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import VoxelGrid
@@ -55,8 +56,8 @@ class VoxelGraph:
     def __init__(self, free: ArrayLike, goal: ArrayLike, moves: int = 26, bounds: Box | ArrayLike | None = None):
         if isinstance(moves, bool) or moves not in _AXES:
             raise ValueError(f"moves must be 6, 18 or 26, got {shortened(moves)}.")
-        vars(self).update(grid=VoxelGrid.of(free, bounds, range(3, 4)), moves=int(moves))
-        vars(self).update(goal=self._checked_goal(goal))
+        set_fields(self, grid=VoxelGrid.of(free, bounds, range(3, 4)), moves=int(moves))
+        set_fields(self, goal=self._checked_goal(goal))
 
     def __repr__(self) -> str:
         return f"VoxelGraph({' x '.join(map(str, self.free.shape))} voxels, {self.moves} moves)"
@@ -88,8 +89,10 @@ class VoxelGraph:
         Raises:
             ValueError: If the goal is in no free voxel.
         """
-        graph = object.__new__(VoxelGraph)
-        vars(graph).update(grid=self.grid, moves=self.moves, _legal=self._legal, goal=self._checked_goal(goal))
+        _ = self._legal  # computed once, for all copies
+        graph = copy(self)
+        graph.__dict__.pop("_to_goal", None)
+        set_fields(graph, goal=self._checked_goal(goal))
         return graph
 
     def __call__(self, x: ArrayLike) -> Distances:

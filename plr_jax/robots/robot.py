@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite
+from plr_jax._arrays import as_finite, set_fields
 from plr_jax.geometry.boundary import as_polygon
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
@@ -224,7 +224,7 @@ class PolygonRobot(Robot):
         if len(ring) > _MOST_VERTICES:
             raise ValueError(f"{name} must be at most {_MOST_VERTICES:,}, got {len(ring):,}; simplify the outline.")
         ring.flags.writeable = False
-        vars(self).update(vertices=ring, core=ring)
+        set_fields(self, vertices=ring, core=ring)
         check_body(name, self)
 
     def __eq__(self, other: object) -> bool:
@@ -265,9 +265,9 @@ class RectangleRobot(Robot):
 
     def __init__(self, length: Any, width: Any):
         for name, side in (("length", length), ("width", width)):
-            vars(self)[name] = as_finite(f"RectangleRobot {name}", side, positive=True)
+            set_fields(self, **{name: as_finite(f"RectangleRobot {name}", side, positive=True)})
         # The corner ahead to the left first.
-        vars(self)["core"] = _CORNERS * np.array([self.length, self.width]) / 2
+        set_fields(self, core=_CORNERS * np.array([self.length, self.width]) / 2)
 
 
 # A point, and a disc.
@@ -302,4 +302,4 @@ class DiscRobot(Robot):
 
     def __init__(self, radius: Any):
         radius = as_finite("DiscRobot radius", radius, positive=True)
-        vars(self).update(radius=radius, rounding=radius)
+        set_fields(self, radius=radius, rounding=radius)

@@ -1,10 +1,43 @@
+"""A shape is one class: what it states is all that planners, checks, pictures and optimization read."""
+
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
+from robot_helpers import PEBBLE, WING, AnyShape, sled
+from shapely.geometry import Polygon
 
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, footprint, shorter_turn, team_dof
+from plr_jax import (
+    BLOptions,
+    DiscRobot,
+    PointRobot,
+    PolygonRobot,
+    Problem,
+    RectangleRobot,
+    Robot,
+    Workspace,
+    bl_plan,
+    path_cost,
+    plot,
+    scenes,
+    validate,
+)
+from plr_jax.collision.team import motions_apart
+from plr_jax.collision.walls import MotionTest
+from plr_jax.optimize.trajectory.scaled_problem import subdivided, unwrapped
+from plr_jax.planners import Stats, Status
+from plr_jax.planners._solution import solution_of
+from plr_jax.plot._paths import timeline
+from plr_jax.robots.robot import (
+    footprint,
+    shorter_turn,
+    smaller_angle,
+    team_dof,
+)
 
 
 def test_radii_of_the_discs_within_and_around():
@@ -55,3 +88,216 @@ def test_footprints():
     assert shapely.equals(footprint(DiscRobot(2.0), np.array([1.0, 2.0, 9.0])), shapely.Point(1, 2))
     upright = footprint(RectangleRobot(4.0, 2.0), np.array([1.0, 2.0, np.pi / 2]))
     assert shapely.symmetric_difference(upright, shapely.box(0, 0, 2, 4)).area < 1e-12
+
+
+# A door, 1.2 wide, between two rooms.
+DOOR = Workspace(
+    ((0, 0), (6, 3)), [[(2.9, 0), (3.1, 0), (3.1, 0.9), (2.9, 0.9)], [(2.9, 2.1), (3.1, 2.1), (3.1, 3), (2.9, 3)]]
+)
+
+
+@dataclass(frozen=True)
+class Hexagon(Robot):
+    """A regular hexagon that turns about its center."""
+
+    side: float
+    rounding = 0.0
+    dof = 3
+
+    @property
+    def core(self):
+        angle = np.arange(6) * np.pi / 3
+        return self.side * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def swap(first, second):
+    ends = np.array([(1.0, 1.0, 0.3), (5.0, 2.0, -2.0)])[:, : max(first.dof, second.dof)]
+    return Problem(DOOR, [first, second], ends, ends[::-1])
+
+
+@pytest.mark.parametrize("first, second", [(Hexagon(0.3), PEBBLE), (WING, DiscRobot(0.25)), (sled(), PointRobot())])
+def test_any_convex_shape_plans_and_its_path_is_checked_and_drawn(first, second, tmp_path):
+    """Two robots that change rooms through the door."""
+    problem = swap(first, second)
+    solution = bl_plan(problem)
+    report = validate(problem, solution.path)
+    assert solution.solved and report.valid, report.message
+    if first == WING:
+        return
+    plot.animate(problem, solution.path, seconds=0.2).save(tmp_path / "path.gif")
+    with Image.open(tmp_path / "path.gif") as image:
+        assert image.n_frames == 5
+
+
+def test_turning_costs_the_way_of_the_farthest_point():
+    problem = Problem(DOOR, [Hexagon(0.3), PEBBLE, DiscRobot(0.1)], *(
+        [(1.0, 0.5, 0.0), (1.0, 1.6, 0.0), (1.0, 2.6, 0.0)] for _ in range(2)
+    ))  # fmt: skip
+    np.testing.assert_allclose(problem.rotation_weights, [0.3, 0.36 + 0.12, 0.0])
+    assert Problem(DOOR, [sled()], [(1, 1)], [(2, 1)]).dof == 2
+
+
+def test_a_scene_file_refuses_a_shape_that_it_has_no_word_for(tmp_path):
+    with pytest.raises(ValueError, match=r"Robot 0 cannot be saved: .* polygon, got Hexagon\(side=0.3\)"):
+        scenes.save(swap(Hexagon(0.3), WING), tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+SQUARE = AnyShape(((-1, -1), (1, -1), (1, 1), (-1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (replace(SQUARE, body=SQUARE.body[::-1]), "be convex, its vertices counterclockwise"),
+        (replace(SQUARE, body=(*SQUARE.body, (-1, 1))), "each given once"),
+        (replace(SQUARE, body=()), "core of finite vertices"),
+        (replace(SQUARE, body=((np.nan, 0),)), "core of finite vertices"),
+        (replace(SQUARE, rounding=-1.0), "finite rounding"),
+        (replace(SQUARE, dof=4), "dof of 2 or 3"),
+        (AnyShape(((1.0, 0.0),), rounding=0.5), "reference point"),
+    ],
+)
+def test_a_problem_refuses_what_is_no_convex_body_about_its_reference_point(robot, message):
+    with pytest.raises(ValueError, match=f"Robot 0 must .*{message}"):
+        Problem(Workspace(((0, 0), (9, 9))), [robot], [(4, 4, 0)], [(5, 5, 0)])
+
+
+def test_a_disc_may_turn_about_any_point_of_it():
+    """On a wheel: half a turn about a point of its rim swings it past what it only touches at both ends."""
+    wheel = AnyShape(((0.5, 0.0),), rounding=0.5)
+    problem = Problem(
+        Workspace(((0, 0), (9, 9))), [wheel, PointRobot()], [(4, 4, 0), (4, 4.9, 0)], [(4, 4, np.pi), (4, 4.9, 0)]
+    )
+    assert wheel.inscribed_radius == 0.0 and wheel.circumscribed_radius == 1.0
+    report = validate(problem, [problem.starts, problem.goals])
+    assert not report.valid and report.who == (0, 1)
+
+
+TRIANGLE = [(-1.0, -1.0), (2.0, -1.0), (-1.0, 3.0)]
+
+
+def test_vertices_are_kept_counterclockwise_and_open_the_first_one_first():
+    for ring in (TRIANGLE, [TRIANGLE[0], TRIANGLE[2], TRIANGLE[1]], [*TRIANGLE, TRIANGLE[0]], Polygon(TRIANGLE)):
+        robot = PolygonRobot(ring)
+        np.testing.assert_array_equal(robot.vertices[0], TRIANGLE[0])
+        np.testing.assert_array_equal(robot.core, TRIANGLE)
+        assert robot == PolygonRobot(TRIANGLE) and hash(robot) == hash(PolygonRobot(TRIANGLE))
+    with pytest.raises(ValueError, match="read-only"):
+        robot.vertices[0] = 7.0
+
+
+def test_radii_are_about_the_reference_point():
+    robot = PolygonRobot(TRIANGLE)  # of sides 3, 4 and 5; its incircle of radius 1 is about the origin
+    assert robot.inscribed_radius == pytest.approx(1.0)
+    assert robot.circumscribed_radius == pytest.approx(10**0.5)
+    assert (robot.dof, robot.rounding, robot.half_sides) == (3, 0.0, None)
+    assert robot.breadth == pytest.approx(2.4)  # its height over the longest side
+
+
+def test_the_reference_point_may_lie_on_the_boundary():
+    assert PolygonRobot([(0, 0), (1, 0), (0, 1)]).inscribed_radius == 0.0
+    assert PolygonRobot([(0.1, 0.2), (-0.1, -0.2), (1, -1)]).inscribed_radius == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_polygon_that_is_a_rectangle_has_its_sides():
+    box = PolygonRobot([(-1, 0.5), (-1, -0.5), (1, -0.5), (1, 0.5)])
+    np.testing.assert_array_equal(box.half_sides, RectangleRobot(2, 1).half_sides)
+    assert box != RectangleRobot(2, 1)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        ([(0, 0), (1, 0)], "2 distinct vertices"),
+        ([(0, 0), (1, 1), (2, 2)], "zero area"),
+        ([(0, 0), (1, 0), (0, np.nan)], "not finite"),
+        ([(-1, -1), (0, -0.5), (1, -1), (0, 1)], "must be convex"),
+        ([(np.cos(a), np.sin(a)) for a in 0.8 * np.pi * np.arange(5)], "not a simple polygon"),
+        ([(1, 1), (2, 1), (1, 2)], r"must have its reference point.*1\.41 outside"),
+        ([(0, 0, 0)] * 3, r"must have shape \(n, 2\)"),
+        ("triangle", "must be numbers"),
+        ([(np.cos(a), np.sin(a)) for a in np.linspace(0, 6, 1_001)], "must be at most 1,000, got 1,001"),
+        (Polygon([(-3, -3), (3, -3), (0, 3)], [[(-1, -1), (1, -1), (0, 1)]]), "one polygon without holes"),
+    ],
+)
+def test_what_is_no_convex_polygon_about_the_origin_is_refused(vertices, message):
+    with pytest.raises(ValueError, match=f"PolygonRobot vertices.*{message}"):
+        PolygonRobot(vertices)
+
+
+HAND = PolygonRobot([(0, -0.05), (3, -0.05), (3, 0.05), (0, 0.05)])  # about its left end
+NOWHERE = np.zeros((0, 1, 3))
+
+headings = st.floats(-100, 100)
+ulps = st.integers(-64, 64)
+sides = st.sampled_from([-1, 1])
+wraps = st.sampled_from(
+    [
+        lambda theta: theta,
+        lambda theta: theta % (2 * np.pi),
+        lambda theta: np.remainder(theta + np.pi, 2 * np.pi) - np.pi,
+        lambda theta: np.arctan2(np.sin(theta), np.cos(theta)),
+        lambda theta: theta + 34 * np.pi,
+    ]
+)
+
+
+def half_turn_from(theta, side, k):
+    """The heading on the other side, so many of the last digits off."""
+    return theta + side * np.pi + k * np.spacing(abs(theta) + np.pi)
+
+
+@given(headings, sides, ulps, wraps, wraps)
+def test_rounding_and_wrapping_never_change_the_way(theta, side, k, wrap, wrap_other):
+    ends = np.array([[wrap(theta)], [wrap_other(half_turn_from(theta, side, k))]])
+    for first, last in (ends, ends[::-1]):
+        assert shorter_turn(first, last)[0] == pytest.approx(np.pi, abs=1e-11)
+        assert smaller_angle(first, last)[0] == pytest.approx(np.pi, abs=1e-11)
+
+
+@given(st.lists(headings, min_size=3, max_size=3), sides, ulps)
+def test_the_angle_is_a_metric_and_the_size_of_the_turn(thetas, side, k):
+    for a, b, c in (np.array(thetas), np.array([thetas[0], half_turn_from(thetas[0], side, k), thetas[1]])):
+        ab, bc, ac = smaller_angle(np.array([a, b, a]), np.array([b, c, c]))
+        assert ab == smaller_angle(np.array([b]), np.array([a]))[0] and 0 <= ab <= np.pi
+        assert ac <= ab + bc + 1e-12
+        assert abs(shorter_turn(np.array([a]), np.array([b]))[0]) == pytest.approx(ab, abs=1.3e-9)
+
+
+def posted(theta, goal, ahead):
+    """A hand that turns half around, with a small obstacle in its way if it goes through a heading."""
+    x, y = 2 * np.cos(ahead), 2 * np.sin(ahead)
+    post = [(x - 0.1, y - 0.1), (x + 0.1, y - 0.1), (x + 0.1, y + 0.1), (x - 0.1, y + 0.1)]
+    return Problem(Workspace(((-4, -4), (4, 4)), [post]), [HAND], [(0, 0, theta)], [(0, 0, goal)])
+
+
+@given(headings, sides, ulps)
+@settings(max_examples=8)
+def test_all_turn_the_same_way(theta, side, k):
+    goal = half_turn_from(theta, side, k)
+    path = np.array([[(0, 0, theta)], [(0, 0, goal)]])
+    middle = theta + np.pi / 2
+    for ahead, free in ((middle, False), (theta - np.pi / 2, True)):
+        problem = posted(theta, goal, ahead)
+        assert validate(problem, path).valid == free
+        assert MotionTest(problem.workspace, HAND)(path[0], path[1])[0] == free
+        post = np.array([[2 * np.cos(ahead), 2 * np.sin(ahead), 0]])
+        assert motions_apart(HAND, path[0], path[1], PointRobot(), post, post, 0.0)[0] == free
+    solution = solution_of(problem, path, 0.0, Status.SOLVED, Stats(0), NOWHERE)
+    motion = timeline(problem, path)
+    assert solution.path_at(solution.makespan / 2)[0, 2] == pytest.approx(middle)
+    assert motion.at(np.array([motion.duration / 2]))[0, 0, 2] == pytest.approx(middle)
+    assert subdivided(problem, path, 3)[1, 0, 2] == pytest.approx(middle)
+    assert unwrapped(path)[1, 0, 2] == pytest.approx(theta + np.pi)
+    assert path_cost(problem, path) == pytest.approx(HAND.circumscribed_radius * np.pi, rel=1e-9)
+
+
+@pytest.mark.parametrize(("y", "theta", "k"), [(9.6, -3.141092653589793, -3), (0.4, 0.0005, 1)])
+def test_a_planned_half_turn_is_valid(y, theta, k):
+    """Beside a wall, where the hand has room for one of the two ways."""
+    start, goal = (5.0, y, theta), (5.0, y, half_turn_from(theta, -1, k))
+    problem = Problem(Workspace(((0, 0), (10, 10))), [HAND], [start], [goal])
+    primitives = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 4)]
+    solution = bl_plan(problem, None, BLOptions(step=2.5, primitives=primitives))
+    assert solution.solved and validate(problem, solution.path).valid
