@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from math import prod
-from typing import Any
 
 import jax
 import numpy as np
@@ -76,11 +75,3 @@ def answered_in_parts(
     finally:
         pool.shutdown(cancel_futures=True)
     return tuple(result.reshape(batch) for result in results)
-
-
-# Functions from outside as arguments of compiled ones.
-
-
-def as_pytree(function: Callable) -> Any:
-    """A function that may be an argument of a jitted one: itself if it is a pytree, else compiled for its own."""
-    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
