@@ -80,8 +80,7 @@ class PairPLR(HeldFile):
     def with_label(self, label: str) -> "PairPLR":
         """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
         labeled = super().with_label(label)
-        if "tables" in vars(self):
-            vars(labeled)["tables"] = self.tables
+        vars(labeled).update({name: each for name, each in vars(self).items() if name in ("tables", "_origin")})
         return labeled
 
     def __call__(

@@ -53,7 +53,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
     if isinstance(plr.leaf, FamilyLeafModel) and isinstance(oracle, ChangingFn):
-        vars(certified)["_origin"] = Origin(oracle, certified.num_bytes)
+        certified.origin = Origin(oracle, certified.num_bytes)
     return certified
 
 

@@ -16,10 +16,10 @@ from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._chunks import Chunk, Done
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
 from plr_jax.plr._file import Contents, encode
-from plr_jax.plr._plr import deferred_plr
+from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.container import frame_size
+from plr_jax.plr.container import frame_size, held
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves, check_limits
@@ -126,7 +126,7 @@ def construct_many(
         except KeyboardInterrupt:
             message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
-    return [None if file is None else deferred_plr(file) for file in done.results]
+    return [None if file is None else PLR(held(file)) for file in done.results]
 
 
 def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from plr_jax._arrays import no_attribute, padded, padded_size, require_integer, shortened
@@ -30,7 +31,6 @@ from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.points import (
-    LowerBound,
     PointPlacement,
     TableStack,
     as_array,
@@ -44,8 +44,7 @@ from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.tables import Tables, build_tables
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@jax.tree_util.register_pytree_with_keys_class
 class PLR(HeldFile):
     """A distance function stored over a binary space partition (Section III of the paper).
 
@@ -57,26 +56,64 @@ class PLR(HeldFile):
     to a PLR raises ``TypeError``.
 
     Attributes:
-        tables: What a query reads, derived from ``file`` alone.
         file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
-        band: Proven lower and upper bounds of the distance minus an answer, ``(2, rows)``: one row for all leaves, or
-            one a leaf, padded to a power of two; see :meth:`bounds`. None if nothing is proven.
     """
 
-    tables: Tables
-    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
-    band: Float[Array, "2 rows"] | None
+    def __init__(
+        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, origin: Origin | None = None
+    ) -> None:
+        """Wrap the padded bytes of a file, which must be right: see :func:`from_bytes`.
+
+        ``origin`` is what the PLR was built from, which :meth:`updated` starts with. It is no part of the pytree.
+        """
+        self.file = file
+        self.origin = origin
+
+    @cached_property
+    def tables(self) -> Tables:
+        """What a query reads, derived from ``file`` alone."""
+        contents = self._contents
+        with jax.ensure_compile_time_eval():  # also in a function that is traced and closes over the PLR
+            return tables_of_contents(contents, np.zeros(contents.domain.dim), self.num_bytes)
+
+    @cached_property
+    def band(self) -> Float[Array, "2 rows"] | None:
+        """Proven lower and upper bounds of the distance minus an answer; None if nothing is proven.
+
+        It has one row for all leaves, or one a leaf, padded to a power of two; see :meth:`bounds`.
+        """
+        if (certificate := self._contents.certificate) is None:
+            return None
+        bounds = certificate.bounds().astype(np.float32)
+        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
+        with jax.ensure_compile_time_eval():
+            return jnp.asarray(padded(bounds.T, rows).T)
+
+    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
+        """Return the tables, the file and the band."""
+        return tuple((GetAttrKey(name), getattr(self, name)) for name in ("tables", "file", "band")), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any]) -> "PLR":
+        """Return the PLR of tables, a file and a band."""
+        tables, file, band = children
+        plr = cls(file)
+        plr.tables, plr.band = tables, band
+        return plr
 
     def __getattr__(self, name: str) -> Any:
-        """Tables and proof of a PLR of which only the file was made yet."""
-        if name not in ("tables", "band") or "_deferred" not in vars(self):
-            raise no_attribute(
-                self,
-                name,
-                "It does not change: plr.updated(oracle) is one of a map that did; of another goal construct one.",
-            )
-        vars(self).update(vars(vars(self)["_deferred"]()))
-        return vars(self)[name]
+        raise no_attribute(
+            self,
+            name,
+            "It does not change: plr.updated(oracle) is one of a map that did; of another goal construct one.",
+        )
+
+    def with_label(self, label: str) -> "PLR":
+        """Return the PLR with another label: see :meth:`HeldFile.with_label`."""
+        labeled = super().with_label(label)
+        if labeled is not self:
+            labeled.tables, labeled.band, labeled.origin = self.tables, self.band, self.origin
+        return labeled
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
@@ -116,7 +153,7 @@ class PLR(HeldFile):
         return bound_points(self._require_band(), *self._placed(x))
 
     @property
-    def lower(self) -> LowerBound:
+    def lower(self) -> "LowerBound":
         """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does.
 
         What a leaf answers, less ``max_error``, or less the leaf's own bound if the proof has bounds of leaves, which
@@ -193,7 +230,7 @@ class PLR(HeldFile):
                 it is of is not known, or found to be another one than ``before``, or as for :func:`construct`.
         """
         require_updatable(self._contents)
-        origin = vars(self).get("_origin")
+        origin = self.origin
         if origin is None:
             if before is None:
                 raise ValueError(
@@ -207,8 +244,8 @@ class PLR(HeldFile):
             require_integer("max_bytes", max_bytes, 1)
             origin = replace(origin, max_bytes=int(max_bytes))
         contents, origin = updated_contents(self._contents, origin, oracle, self.label)
-        plr = assembled(encode(contents), contents).with_label(self.label)
-        vars(plr).update(_contents=contents, _origin=origin)
+        plr = plr_of_leaves(contents, origin).with_label(self.label)
+        plr._contents = contents
         return plr
 
     def numpy(self) -> NumpyPLR:
@@ -423,18 +460,35 @@ def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Ta
     return tables.of_folding(contents.folding, origin)
 
 
-def assembled(data: bytes, contents: Contents) -> PLR:
-    """The PLR of a file's bytes, which hold these contents."""
-    band = None
-    if contents.certificate is not None:
-        bounds = contents.certificate.bounds().astype(np.float32)
-        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
-        band = jnp.asarray(padded(bounds.T, rows).T)
-    plr = PLR(tables_of_contents(contents, np.zeros(contents.domain.dim), len(data)), held(data), band)
-    # What the first query asks for, and would read from the file again.
-    domain = contents.domain if contents.folding is None else contents.folding.domain
-    vars(plr).update(domain=domain, _corner_if_far=corner_if_far(domain))
-    return plr
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class LowerBound:
+    """A distance function that is nowhere above the truth: see :attr:`plr_jax.PLR.lower`.
+
+    Attributes:
+        plr: The PLR.
+        is_lower_bound: True, by which planners know.
+    """
+
+    plr: PLR
+    is_lower_bound = True
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.plr.dim
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """The lower of the bounds, of points ``(..., dim)``."""
+        return self.plr.bounds(x)[0]
+
+    @staticmethod
+    def stack(fns: Sequence["LowerBound"]) -> TableStack:
+        """One function of all robots' lower bounds, as PLRs stack."""
+        if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
+            raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
+        first, *_ = fns
+        return replace(first.plr.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -453,56 +507,27 @@ def from_bytes(data: bytes) -> PLR:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
     data = bytes(data)
-    return assembled(data, decode(data))
-
-
-def deferred_plr(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold, which are known to be right: its tables are made when they are first used."""
-    plr = object.__new__(PLR)
-    vars(plr).update(file=held(data), _deferred=partial(from_bytes, data))
-    return plr
+    return _assembled(data, decode(data))
 
 
 def plr_of_leaves(contents: Contents, origin: Origin | None = None) -> PLR:
     """Return the PLR that the file of these leaves gives, bit for bit, without reading the file."""
-    plr = assembled(encode(contents), contents)
-    if origin is not None:
-        vars(plr)["_origin"] = origin
+    return _assembled(encode(contents), contents, origin)
+
+
+def _assembled(data: bytes, contents: Contents, origin: Origin | None = None) -> PLR:
+    """Return the PLR of a file's bytes, with all that the first query needs; it does not keep the contents."""
+    plr = PLR(held(data), origin=origin)
+    plr._contents = contents
+    plr.domain = contents.domain if contents.folding is None else contents.folding.domain
+    _ = plr.tables, plr.band, plr._corner_if_far
+    del plr._contents
     return plr
-
-
-def with_stored(plr: PLR, stored: Any) -> PLR:
-    """A PLR of the same partition and model that stores something else, of which nothing is proven."""
-    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None)).with_label(plr.label)
 
 
 def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
     """The same PLR with another proof."""
     return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
-
-
-def folded_points(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-    """Where points are in the folded domain, in double precision; themselves where nothing is folded.
-
-    Around periodic axes they are not wrapped. What is outside the domain means nothing.
-    """
-    folding = plr.container.folding
-    return np.asarray(x, np.float64) if folding is None else folding(x)
-
-
-def unfolded_points(plr: PLR, z: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:
-    """For each point of the folded domain one that folds there, in the domain if any is."""
-    folding = plr.container.folding
-    return z if folding is None else folding.unfolded(z)
-
-
-def local_coordinates(
-    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
-) -> Float[np.ndarray, "*batch dim"]:
-    """Coordinates of each point, folded, in a given leaf; ``[-1, 1]`` spans it along every axis."""
-    lo, hi = plr.cells.boxes(plr.folded_domain)
-    x = plr.folded_domain.image_near(folded_points(plr, x), (lo + hi)[leaf] / 2)
-    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

@@ -376,11 +376,13 @@ _SIZE_BYTES = 4
 
 
 class HeldFile:
-    """Its bytes, and how much memory the tables take."""
+    """What is made of a file's bytes alone: the bytes, their label, and how much memory the tables take."""
 
     if TYPE_CHECKING:
         tables: Any
         file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+        def __init__(self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]) -> None: ...
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
@@ -425,9 +427,7 @@ class HeldFile:
         if label == self.label:
             return self
         data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
-        labeled = replace(cast(Any, self), file=held(data))
-        vars(labeled).update({name: each for name, each in vars(self).items() if name == "_origin"})
-        return labeled
+        return type(self)(cast(Any, held(data)))
 
     @property
     def resident_bytes(self) -> int:
