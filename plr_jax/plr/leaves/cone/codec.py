@@ -39,10 +39,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.partition.cells import Cells, levels_of
 
-STEP_BITS, _COUNT_BITS, _WIDTH_BITS, EXPONENT_BIAS = 16, 20, 6, 1 << 15
-_MOST_COORDINATE_BITS, LARGEST_EXPONENT = 40, 200
+_STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
+_MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
 _LARGEST_SQUARED = 1e18
 _FINE_BITS = 26  # of a coordinate that is not on the lattice
 _FARTHEST = 2.0**60  # steps of the domain's corner from the origin
@@ -156,12 +155,12 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
     fine, others = np.split(sources.code, [sources.num_fine])
     body.write(np.array([len(fine)]), _COUNT_BITS)
     if len(fine):
-        body.write(np.array([sources.exponent + EXPONENT_BIAS]), STEP_BITS)
-        _write_codes(body, fine, origin_in_steps(domain.lo * 2.0**-sources.exponent))
+        body.write(np.array([sources.exponent + _EXPONENT_BIAS]), _STEP_BITS)
+        _write_codes(body, fine, _origin_in_steps(domain.lo * 2.0**-sources.exponent))
     body.write(np.array([len(others)]), _COUNT_BITS)
     if len(others):
-        body.write(np.array([sources.fraction]), STEP_BITS)
-        _write_codes(body, others, origin_in_steps(domain.lo * sources.fraction))
+        body.write(np.array([sources.fraction]), _STEP_BITS)
+        _write_codes(body, others, _origin_in_steps(domain.lo * sources.fraction))
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
@@ -195,16 +194,16 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_alike(1, _COUNT_BITS)[0])
     if num_fine:
-        exponent = int(body.read_alike(1, STEP_BITS)[0]) - EXPONENT_BIAS
-        if abs(exponent) > LARGEST_EXPONENT:
+        exponent = int(body.read_alike(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
+        if abs(exponent) > _LARGEST_EXPONENT:
             raise ValueError(f"it states coordinates in steps of 2**{exponent}")
-        parts.append(_read_codes(body, num_fine, origin_in_steps(domain.lo * 2.0**-exponent)))
+        parts.append(_read_codes(body, num_fine, _origin_in_steps(domain.lo * 2.0**-exponent)))
     num_others = int(body.read_alike(1, _COUNT_BITS)[0])
     if num_others:
-        fraction = int(body.read_alike(1, STEP_BITS)[0])
+        fraction = int(body.read_alike(1, _STEP_BITS)[0])
         if not fraction:
             raise ValueError("it states coordinates in steps of 1 / 0")
-        parts.append(_read_codes(body, num_others, origin_in_steps(domain.lo * fraction)))
+        parts.append(_read_codes(body, num_others, _origin_in_steps(domain.lo * fraction)))
     if not parts:
         raise ValueError("it states no sources")
     code, count = np.concatenate(parts), num_fine + num_others
@@ -231,7 +230,7 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> 
     return np.column_stack(columns) + lowest + origin
 
 
-def origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
     """The lower corner of the domain in steps, from which coordinates are counted."""
     if np.abs(steps).max() > _FARTHEST:
         raise ValueError("it states coordinates in steps that are too small for its domain")
@@ -256,17 +255,6 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 # From leaves and the sources that they chose to what a file keeps of them, and its size.
-
-
-def stored_cones(
-    cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources, domain: Box
-) -> tuple[Cells, StoredCones]:
-    """Leaves in the order of the tree's traversal, and what a file keeps of them.
-
-    Where a leaf has no source, -1, it takes that of the leaf before.
-    """
-    order = levels_of(cells)[1]
-    return cells[order], ConeFiles(sources, domain).stored(source[order])
 
 
 class ConeFiles:

@@ -24,11 +24,10 @@ from plr_jax.plr.leaves.base import (
     UpdatedLeaves,
     largest_coordinates,
 )
-from plr_jax.plr.leaves.cone.best import best_cones_of_goal
-from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
-from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
-from plr_jax.plr.leaves.cone.updated import updated_cones
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones, read_cones, write_cones
+from plr_jax.plr.leaves.cone.search import FamilyTask, best_cones_of_goal, family_task
+from plr_jax.plr.leaves.cone.update import updated_cones
+from plr_jax.plr.partition.cells import Cells, levels_of
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 _UNDERFLOW = 1.1e-19
@@ -92,7 +91,8 @@ class Cone(FamilyLeafModel):
         self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
     ) -> tuple[Cells, StoredCones]:
         """Leaves and what is stored of them; one without a source takes that of the leaf before."""
-        return stored_cones(cells, source, sources, domain)
+        order = levels_of(cells)[1]
+        return cells[order], ConeFiles(sources, domain).stored(source[order])
 
     def unreachable(self, stored: StoredCones) -> Bool[np.ndarray, "leaves"]:
         """None: where nothing reaches the goal, leaves have the source of another one."""

@@ -11,7 +11,7 @@ from plr_jax.plr.growth.levels import MAX_ASPECT_BITS
 from plr_jax.plr.growth.optimal import PriceSearch, Thrift
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.leaves.cone import family
+from plr_jax.plr.leaves.cone import search
 from plr_jax.plr.sampling.cell_fit import sample_pattern
 
 MAZE = scenes.maze().workspace
@@ -25,7 +25,7 @@ def limits_of(max_leaves=None, max_depth=None, max_axis_depth=None):
 
 
 def task_of(workspace, oracle, limits):
-    return family.family_task(oracle, workspace.bounds, limits, sample_pattern(2, 96, 0, 0))
+    return search.family_task(oracle, workspace.bounds, limits, sample_pattern(2, 96, 0, 0))
 
 
 def levels_of_family(monkeypatch, workspace, goals, max_leaves):
@@ -33,7 +33,7 @@ def levels_of_family(monkeypatch, workspace, goals, max_leaves):
     first = VisibilityGraph(workspace, goals[0])
     oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
     given = []
-    monkeypatch.setattr(family, "best_cones", lambda *arguments: given.append(arguments) or [])
+    monkeypatch.setattr(search, "best_cones", lambda *arguments: given.append(arguments) or [])
     task = task_of(workspace, first, limits_of(max_leaves))
     task(oracles)
     return given[0][0], given[0][1], len(task.halves)

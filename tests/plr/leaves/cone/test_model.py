@@ -13,7 +13,7 @@ from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, 
 from plr_jax.plr import construct, from_bytes
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.cone import best
+from plr_jax.plr.leaves.cone import search
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +152,8 @@ def test_cones_are_not_found_from_samples(maze, options, message):
 @pytest.mark.parametrize("max_bytes", [261, 661])
 def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
     x, plrs = maze.workspace.sample_free(20_000, seed=0), []
-    for choose in (best.sources_in_sight, lambda tree, options, fits: tree.source):
-        monkeypatch.setattr(best, "sources_in_sight", choose)
+    for choose in (search.sources_in_sight, lambda tree, options, fits: tree.source):
+        monkeypatch.setattr(search, "sources_in_sight", choose)
         plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=max_bytes, certified=True))
     plr, before = plrs
     assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
@@ -164,7 +164,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
 
 
 def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maze, monkeypatch):
-    changes, choose = [], best.sources_in_sight
+    changes, choose = [], search.sources_in_sight
 
     def with_few(tree, options, fits):
         for most in (0, 3, 10**9):
@@ -172,7 +172,7 @@ def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maz
             changes.append(np.where(source != tree.source, source, -1))
         return source
 
-    monkeypatch.setattr(best, "sources_in_sight", with_few)
+    monkeypatch.setattr(search, "sources_in_sight", with_few)
     construct(maze, UNIT, leaf="cone", max_leaves=200)
     none, few, many = changes
     assert [(each >= 0).sum() for each in (none, few)] == [0, 3] and (many >= 0).sum() > 5

@@ -1,0 +1,519 @@
+"""The best partitions of cones within the limits of a file each, for one goal or for many of one workspace.
+
+1. Each box gets the cone whose proven error has the least integral (``ConeBoxes``).
+2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
+3. Leaves of these trees get sources in sight where those serve about as well (``sources_in_sight``).
+4. For many goals, boxes that are alike for several of them are looked at once (``FamilyTask``).
+"""
+
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+
+from plr_jax._arrays import run_members
+from plr_jax._types import CellSources, FamilyCellSources, FamilyFn, Sources
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import areas, difference_of_cones
+from plr_jax.plr.certificate import bounds_of_pieces
+from plr_jax.plr.growth.levels import POOR, BoxLevel, may_halve
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.optimal import EXACT, Forest, PricedTree, PriceSearch, Thrift
+from plr_jax.plr.leaves.base import MemberLeaves
+from plr_jax.plr.leaves.cone.codec import ConeFiles
+from plr_jax.plr.partition.cells import Cells, Level, grown_domain, levels_of
+from plr_jax.plr.sampling.cell_fit import Pattern
+from plr_jax.plr.sampling.cell_memory import distances_in_cells
+
+# 1. Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use.
+
+
+_MOST_TRIED = 4
+"""Sources tried for a leaf: those to which most of it goes, judged by the centers of its pieces."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConeBoxes:
+    """Boxes and the source of the best cone for each.
+
+    Attributes:
+        cells: The boxes.
+        source: Index of the best source, -1 where nothing of the box reaches the goal.
+        error: Proven bound of the cone's largest error in the box, 0 if it is negligible.
+        integral: Proven bound of the integral of its error over the box, as a share of the domain's area.
+    """
+
+    domain: Box
+    negligible: float
+    cells: Cells
+    visible: CellSources
+    source: Int[np.ndarray, "boxes"]
+    error: Float[np.ndarray, "boxes"]
+    integral: Float[np.ndarray, "boxes"]
+
+    def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
+        columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
+        return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)
+
+    def append(self, *others: "ConeBoxes") -> "ConeBoxes":
+        """These boxes followed by others."""
+        parts = (self, *others)
+        columns = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("source", "error", "integral")
+        )
+        return ConeBoxes(
+            self.domain,
+            self.negligible,
+            self.cells.append(*(other.cells for other in others)),
+            self.visible.append(*(other.visible for other in others)),
+            *columns,
+        )
+
+    def new_halves(
+        self,
+        parent: Int[np.ndarray, "halves"],
+        axis: Int[np.ndarray, "halves"],
+        is_upper: Bool[np.ndarray, "halves"],
+        known: UInt64[np.ndarray, "known"],
+    ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
+        """Those halves of some of the boxes whose keys are not known yet, each once; their keys; and all keys.
+
+        Of one goal the box is the key. Of a family it tells apart what goals make of the box too, which is known only
+        once the sources of the halves are.
+        """
+        cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
+        lo, hi = cells.grown_boxes(self.domain)
+        if isinstance(visible, FamilyCellSources):
+            found, key, first, index = visible.distinct_parts(parent, axis, is_upper, lo, hi, cells.hashes())
+            new = _first_of_new(key, known)
+            rows, found, of_half = first[new], found.of_cells(new), key[index]
+        else:
+            key = of_half = cells.hashes()
+            new = rows = _first_of_new(key, known)
+            found = visible.parts(parent[rows], axis[rows], is_upper[rows], lo[rows], hi[rows])
+        return fitted_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
+
+
+def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
+    """Where each distinct key that is not known stands first, in this order."""
+    distinct, first = np.unique(key, return_index=True)
+    return np.sort(first[~np.isin(distinct, known)])
+
+
+def views_of(visible: CellSources, source: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+    """Viewpoints of sources, of which those of a single goal are one each."""
+    return visible.views(source) if isinstance(visible, FamilyCellSources) else source
+
+
+def resolved_error(distances: Float[np.ndarray, "n"]) -> float:
+    """The least error that a query resolves of distances, some of which may be ``inf``."""
+    return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
+
+
+def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+    """Boxes with the cone for each whose proven error has the least integral over its free part.
+
+    Errors up to what is negligible do not count.
+    """
+    best, error, integral = only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
+    several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
+    if len(several):
+        some = visible.of_cells(several)
+        # Sources tried for each: those that the centers of its pieces use, of the largest pieces first.
+        count, area = len(visible.sources.points), areas(some.pieces)
+        key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
+        box, source = np.divmod(key, count)
+        order = np.lexsort((some.rank(source), -np.bincount(index, area, len(key)), box))
+        box, source = box[order], source[order]
+        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_TRIED
+        box, source = box[is_tried], source[is_tried]
+        largest, of_option = errors_of_options(some, box, source)
+        order = np.lexsort((some.rank(source), largest, of_option, box))
+        order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
+        best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
+    counts = error > negligible
+    integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
+    return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
+
+
+def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+    """The source of boxes that all of each sees and no other is better for anywhere; -1 for other boxes."""
+    only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
+    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # a pair a piece, or none at all
+    is_box = is_box[np.diff(first)[is_box] > 0]
+    if not len(is_box):
+        return only
+    of_pairs = np.stack([visible.source, -visible.source, visible.by_all])
+    smallest, largest, by_all = np.minimum.reduceat(of_pairs, first[:-1][np.diff(first) > 0], axis=1)
+    row = (np.cumsum(np.diff(first) > 0) - 1)[is_box]
+    alone = (smallest == -largest)[row] & (by_all[row] > 0)
+    only[is_box[alone]] = smallest[row[alone]]
+    return only
+
+
+def errors_of_options(
+    visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
+) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
+    """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
+    piece, option = run_members(visible.first_piece, box)
+    points, distances = visible.sources.points[source], visible.sources.distances[source]
+
+    def above_options(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
+        """Cones minus those of the sources that are tried."""
+        return difference_of_cones(pieces, apex, offset, points[option[row]], distances[option[row]])
+
+    lower, upper = bounds_of_pieces(visible, piece, above_options)
+    error = np.maximum(-lower, upper)
+    if not len(option):
+        return np.zeros(0), np.zeros(0)
+    largest = np.maximum.reduceat(error, np.flatnonzero(np.append(True, option[1:] != option[:-1])))
+    return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
+
+
+# 3. Choosing sources in sight: of those that serve a box about as well, one that most of it sees.
+#
+# A straight way from a point to its leaf's source meets a wall where the source is out of sight. There the distance
+# is larger than the cone says, for if the source were in sight, the way by it would be as short. So samples tell.
+# What each box could have instead is found once for all trees that have the box as a leaf.
+
+
+_PRICE = 30.0
+"""Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
+_LEAST_SHORTFALL = 1e-9
+"""Widths of the domain by which a distance is above a cone for certain."""
+_MOST_OPTIONS = 64
+"""Sources of a box that are compared: of more, as of a large box among clutter, none is in sight of much of it."""
+_KEY_BITS = 40  # for the place of a box in its level
+
+
+@dataclass(frozen=True, eq=False)
+class MemberTree:
+    """The tree of one goal: its levels, and its leaves in the order of its traversal.
+
+    Attributes:
+        levels: As a file stores them.
+        cells: The leaves.
+        source: Viewpoint of each leaf's source, -1 where nothing reaches the goal.
+        depth: The level of boxes that each leaf is one of.
+        box: The box there.
+    """
+
+    levels: list[Level]
+    cells: Cells
+    source: Int[np.ndarray, "leaves"]
+    depth: Int[np.ndarray, "leaves"]
+    box: Int[np.ndarray, "leaves"]
+
+
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> MemberTree:
+    """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
+    parts = [(level.boxes, box) for level, box in zip(levels, tree.leaves, strict=False)]
+    first, *others = (boxes.cells[box] for boxes, box in parts)
+    cells = first.append(*others)
+    splits, order = (tree.splits, tree.order) if is_walked else levels_of(cells)
+    depth, box = np.repeat(np.arange(len(parts)), [len(box) for _, box in parts]), np.concatenate(tree.leaves)
+    return MemberTree(splits, cells[order], views_of_leaves(levels, tree)[order], depth[order], box[order])
+
+
+def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
+    """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
+    source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
+    source[source >= 0] = views_of(levels[0].boxes.visible, source[source >= 0])
+    return source
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """Boxes that are leaves, and the sources that those could have that do not all see their best one, box by box.
+
+    Attributes:
+        key: Of each box: its level and its place there.
+        boxes: The boxes.
+        first: Where the options of each box begin, and their number; of most boxes there are none.
+        view: Viewpoint of the source.
+        is_own: Whether it is the best one.
+        by_all: Whether all of the box sees it.
+        error: Mean error over the box, at samples.
+        hidden: Share of the box from where a wall is in the way.
+        largest: Proven largest error.
+        integral: Proven integral of the error, as a share of the domain.
+        area: Free area of the box.
+    """
+
+    key: Int[np.ndarray, "boxes"]
+    boxes: ConeBoxes
+    first: Int[np.ndarray, "boxes_plus_one"]
+    view: Int[np.ndarray, "options"]
+    is_own: Bool[np.ndarray, "options"]
+    by_all: Bool[np.ndarray, "options"]
+    error: Float[np.ndarray, "options"]
+    hidden: Float[np.ndarray, "options"]
+    largest: Float[np.ndarray, "options"]
+    integral: Float[np.ndarray, "options"]
+    area: Float[np.ndarray, "options"]
+
+
+def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: Pattern) -> Options:
+    """The options of all boxes that are leaves of some tree."""
+    key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
+    first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
+    boxes = first.append(*others)
+    # Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it.
+    visible, count = boxes.visible, len(boxes.visible.sources.points)
+    pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
+    box, source = np.divmod(pair, count)
+    by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
+    is_doubted = np.diff(boxes.visible.first_piece) > 0
+    is_doubted[box[by_all & (source == boxes.source[box])]] = False
+    is_doubted &= np.bincount(box, minlength=len(key)) <= _MOST_OPTIONS
+    box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
+    doubted = np.flatnonzero(is_doubted)
+    some, place = boxes[doubted], np.searchsorted(doubted, box)
+    x = some.cells.points(pattern.u, boxes.domain)
+    distance = distances_in_cells(some.visible, x)
+    # Mean error of each source in its box, and the share of it from where a wall is in the way.
+    sources, width = some.visible.sources, float(some.domain.width.max())
+    weight = pattern.weight * np.isfinite(distance)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
+    cone = sources.distances[source, None] + np.linalg.norm(x[place] - sources.points[source, None], axis=2)
+    above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
+    is_hidden = above > _LEAST_SHORTFALL * width
+    error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
+    largest, integral = errors_of_options(some.visible, place, source)
+    area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
+    view, is_own = views_of(boxes.visible, source), source == boxes.source[box]
+    first = np.searchsorted(box, np.arange(len(key) + 1))
+    return Options(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
+
+
+def _keys(tree: MemberTree) -> Int[np.ndarray, "leaves"]:
+    return (tree.depth << _KEY_BITS) + tree.box
+
+
+def sources_in_sight(
+    tree: MemberTree, options: Options, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
+) -> Int[np.ndarray, "leaves"]:
+    """Viewpoints for the leaves of a tree, another one where a part does not see the best one and that is worth it.
+
+    No leaf's proven error rises above the largest of all: what is proven of all of them holds as before. Of the
+    changes, the most useful first, as many are made as fit.
+    """
+    leaf, view = _changes(tree, options)
+
+    def changed(count: int) -> Int[np.ndarray, "leaves"]:
+        views = tree.source.copy()
+        views[leaf[:count]] = view[:count]
+        return views
+
+    if fits(changed(len(leaf))):
+        return changed(len(leaf))
+    return changed(bisect_left(range(1, len(leaf)), True, key=lambda count: not fits(changed(count))))
+
+
+def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
+    """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
+    boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
+    option, leaf = run_members(options.first, box)
+    if not len(leaf):
+        return leaf, leaf
+    is_own = options.is_own[option]
+    cost = options.error[option] + _PRICE * float(boxes.integral[box].sum()) * options.hidden[option]
+    is_barred = ~is_own & (options.largest[option] > max(float(boxes.error[box].max()), boxes.negligible))
+    order = np.lexsort(
+        (options.view[option], options.integral[option], ~is_own, ~options.by_all[option], cost, is_barred, leaf)
+    )
+    best = order[np.append(True, leaf[order[1:]] != leaf[order[:-1]])]
+    own_cost = np.zeros(len(tree.source))
+    own_cost[leaf[is_own]] = cost[is_own]
+    gain = (own_cost[leaf[best]] - cost[best]) * options.area[option[best]]
+    best = best[np.argsort(-gain, kind="stable")]
+    best = best[~is_own[best]]
+    return leaf[best], options.view[option[best]]
+
+
+# 2. The best trees.
+
+
+_ROOM = 64
+"""One byte for so many is left for sources to be changed to others that are in sight."""
+
+
+Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
+"""Calls a step on trees again and again until it gives None, and gives the last ones."""
+
+
+def run_through(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
+    """A plain loop: without progress, and an interrupt is one."""
+    while (larger := step(forest)) is not None:
+        forest = larger
+    return forest
+
+
+def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> MemberLeaves:
+    """Those of one goal, from the sources of the grown domain as a cell."""
+    negligible = max(limits.tolerance, resolved_error(visible.distance))
+    box = fitted_boxes(domain, negligible, Cells.root(2), visible)
+    levels = [BoxLevel.of(box, box.cells.hashes())]
+    root = np.zeros(1, np.int64)
+    return best_cones(levels, root, [visible.sources], domain, limits, pattern, run)[0]
+
+
+def best_cones(
+    levels: list[BoxLevel],
+    roots: Int[np.ndarray, "members"],
+    sources: Sequence[Sources],
+    domain: Box,
+    limits: Limits,
+    pattern: Pattern,
+    run: Run,
+    thrift: Thrift = EXACT,
+) -> list[MemberLeaves]:
+    """The leaves of each member, some of which have sources that are in sight instead of the best ones.
+
+    Args:
+        levels: Boxes to start with.
+        roots: The box of the first level that each member starts at.
+        sources: Of each member, numbered as its viewpoints are: of one goal the goal, then the corners; of a family
+            the corners, then the member's goal.
+        domain: What the leaves cover.
+        limits: The limits of each.
+        pattern: Samples of a cell, by which sources in sight are chosen.
+        run: :func:`grow`, or :func:`run_through`.
+        thrift: What the search leaves out.
+    """
+    files = [ConeFiles(each, domain) for each in sources]
+
+    def views(member: int, view: Int[np.ndarray, "leaves"]) -> Int[np.ndarray, "leaves"]:
+        # In a family all goals follow the corners by number; a member's table has its own alone, the last.
+        return np.minimum(view, len(sources[member].points) - 1)
+
+    def size(member: int, tree: PricedTree) -> int:
+        if thrift.is_walked:
+            view = views_of_leaves(levels, tree)[tree.order]
+        else:
+            view = tree_of_leaves(levels, tree, is_walked=False).source
+        return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
+
+    num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
+    search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
+    trees = [tree_of_leaves(levels, tree, thrift.is_walked) for tree in run(search.first(), search.next).trees]
+    options, members = options_of_trees(levels, trees, pattern), []
+    for member, tree in enumerate(trees):
+
+        def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
+            return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
+
+        view = views(member, sources_in_sight(tree, options, fits))
+        members.append((tree.levels, tree.cells, files[member].stored(view)))
+    return members
+
+
+# 4. Many goals of one workspace: a cell that is alike for several goals is looked at once for all.
+#
+# Up to some number of splits every box has sources of its own for every goal, and hardly one is a leaf of a good tree
+# unless one source serves all of it. So goals *start* at boxes of so many splits, and boxes above are leaves only
+# where all of the boxes that they hold have no error and one source. Where sources take most of the bytes, as of a
+# hundred corners in 1 KB, leaves are fewer than the start expects, and a good tree has larger ones: a single goal
+# starts at the whole domain.
+
+
+_MOST_SPLITS, _LEAVES_A_START = 9, 8.0
+_BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
+_RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
+# Boxes are left out that seldom are leaves, for which the search is twice as quick.
+_THRIFT = Thrift(1.0, 5, 0.99, is_walked=True)
+_ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyTask:
+    """What all members of a family share; called with oracles of some of them, it finds their leaves.
+
+    Attributes:
+        shared: What the oracles share of the boxes that all start at.
+        tops: The cells of each number of splits, those that all start at last.
+        halves: Where the halves of each stand among those of one more split.
+        domain: What the PLRs cover.
+        limits: What the file of each is to keep within.
+        pattern: Samples of a cell, by which sources in sight are chosen.
+    """
+
+    shared: Any
+    tops: list[Cells]
+    halves: list[Int[np.ndarray, "2 2 _"]]
+    domain: Box
+    limits: Limits
+    pattern: Pattern
+
+    def __call__(self, oracles: Sequence[FamilyFn]) -> list[MemberLeaves]:
+        """The leaves of some members."""
+        found, key, node_of = oracles[0].family_sources(self.shared, oracles)
+        if (lost := np.flatnonzero((node_of < 0).all(axis=1))).size:
+            raise ValueError(f"Nothing was found from where the goal of oracle {lost[0]} can be reached.")
+        # Boxes of which nothing reaches a goal have no pieces; they stand behind the others.
+        cells, limits = self.tops[-1], self.limits
+        place, empty = np.zeros(found.num_cells, np.int64), np.unique(np.nonzero(node_of < 0)[1])
+        place[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
+        node_of = np.where(node_of < 0, found.num_cells + np.searchsorted(empty, np.arange(len(cells))), node_of)
+        lowest, found = cells[np.append(place, empty)], replace(found, num_cells=found.num_cells + len(empty))
+        negligible = max(limits.tolerance, _RESOLVED * float(self.domain.width.max()))
+        boxes = fitted_boxes(self.domain, negligible, lowest, found)
+        key = np.append(key, cells[empty].hashes())
+        levels = [*self._above(boxes, node_of), BoxLevel.of(boxes, key)]
+        roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
+        sources = [_corners_first(oracle.sources) for oracle in oracles]
+        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_through, _THRIFT)
+
+    def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
+        """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""
+        levels, node = [], node_of
+        nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
+        is_alone = (boxes.source < 0) | (only_sources(boxes.visible) >= 0)
+        source = np.where(is_alone, boxes.source, _NONE)[node_of]
+        for cells, child in zip(reversed(self.tops[:-1]), reversed(self.halves), strict=True):
+            common = np.full((len(source), len(cells)), _NONE)
+            for lower, upper in child:
+                some = np.flatnonzero(lower >= 0)
+                both = np.stack([source[:, lower[some]], source[:, upper[some]]])
+                least, most = both.min(axis=0), both.max(axis=0)
+                alike = (least == most) | (least == _ANY)
+                common[:, some] = np.maximum(common[:, some], np.where(alike, most, _NONE))
+            source, count = common, common.size
+            below = np.where(child >= 0, node[:, child], POOR).transpose(1, 2, 0, 3).reshape(2, 2, count)
+            node = np.arange(count).reshape(common.shape)
+            error = np.where(common == _NONE, np.inf, 0.0).ravel()
+            cells, visible = cells[np.tile(np.arange(len(cells)), len(common))], replace(nothing, num_cells=count)
+            above = ConeBoxes(
+                boxes.domain, boxes.negligible, cells, visible, np.maximum(common.ravel(), -1), error, error
+            )
+            levels.insert(0, BoxLevel(above, np.arange(count, dtype=np.uint64), below))
+        return levels
+
+
+def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) -> FamilyTask:
+    """What all of the family of a distance function share."""
+    # About as many leaves as the limits allow.
+    room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
+    of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
+    num_leaves = max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof)))
+    splits = int(np.clip(np.log2(num_leaves / _LEAVES_A_START), 0, min(_MOST_SPLITS, limits.max_depth)))
+    tops, halves = [Cells.root(2)], []
+    for _ in range(splits):
+        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(tops[-1], limits)))
+        is_upper = np.arange(len(parent)) % 2 == 1
+        cells = tops[-1][parent].halves(axis, is_upper)
+        _, first_half, index = np.unique(cells.hashes(), return_index=True, return_inverse=True)
+        halves.append(np.full((2, 2, len(tops[-1])), POOR))
+        halves[-1][axis, is_upper.astype(int), parent] = index
+        tops.append(cells[first_half])
+    shared = first.shared_cells(grown_domain(domain), *tops[-1].grown_boxes(domain))
+    return FamilyTask(shared, tops, halves, domain, limits, pattern)
+
+
+def _corners_first(sources: Sources) -> Sources:
+    """Sources in the order of viewpoints, the goal last."""
+    parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
+    return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)
