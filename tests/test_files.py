@@ -115,15 +115,6 @@ def test_a_name_that_no_file_can_have_is_refused():
             read("a\0b")
 
 
-def test_a_file_is_written_and_replaced(tmp_path):
-    path = tmp_path / "file"
-    write_atomically(path, b"one")
-    assert path.read_bytes() == b"one"
-    write_atomically(path, b"two")
-    assert path.read_bytes() == b"two"
-    assert os.listdir(tmp_path) == ["file"]
-
-
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
     path = tmp_path / "file"
     write_atomically(path, b"old")
@@ -153,11 +144,6 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path):
         path.chmod(mode)
         write_atomically(path, b"new")
         assert stat.S_IMODE(path.stat().st_mode) == mode
-
-
-def test_the_umask_of_the_process_is_never_touched(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("other threads would see it"))
-    write_atomically(tmp_path / "file", b"new")
 
 
 @pytest.mark.parametrize("length", [200, 246, 255])

@@ -190,6 +190,7 @@ def sampled_clearance(problem, path, num_samples=401):
     return min(distances)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("one, other", [(BAR, DISC), (WING, PEBBLE)])
 def test_random_motions_by_dense_samples_and_by_the_planners_tests(one, other):
     """Verdicts agree with samples and with the other implementation; clearances with samples."""
@@ -273,6 +274,7 @@ def planner_accepts(problem, path):
     return bool(free.all())
 
 
+@pytest.mark.full
 @needs_data
 @pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
 def test_published_trajectories_are_accepted(problem, solution):
@@ -288,6 +290,7 @@ def test_published_trajectories_are_accepted(problem, solution):
     assert sampled - 2e-4 <= result.clearance <= sampled + 1e-6
 
 
+@pytest.mark.full
 @needs_data
 @pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
 def test_published_trajectories_are_rejected_when_a_robot_is_shifted(problem, solution):

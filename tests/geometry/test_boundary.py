@@ -9,12 +9,9 @@ from hypothesis import strategies as st
 from plr_jax.geometry.boundary import RingEdges, as_polygon, as_polygons, polygons_of, triangulate
 from plr_jax.geometry.vectors import (
     arc,
-    cross_product,
-    distances_between,
     left_normal,
     pseudo_angle,
     turn_between,
-    turned_left,
 )
 from plr_jax.geometry.workspace import Workspace
 
@@ -145,13 +142,6 @@ def test_regions_that_geos_cannot_triangulate_are_cut(monkeypatch):
     assert_filled(lattice_region(0))
 
 
-def test_cross_product_and_normal_point_left():
-    u = np.array([[2.0, 0.0], [0.0, 3.0]])
-    np.testing.assert_array_equal(left_normal(u), [[0, 1], [-1, 0]])
-    np.testing.assert_array_equal(turned_left(u), [[0, 2], [-3, 0]])
-    np.testing.assert_array_equal(cross_product(u, left_normal(u)), [2, 3])
-
-
 @given(st.lists(st.floats(0, 6.28), min_size=2, max_size=30))
 def test_pseudo_angle_orders_directions_like_the_angle(angles):
     angle = np.array(angles)
@@ -181,9 +171,3 @@ def test_turns_are_counterclockwise():
     east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
     turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
     np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])
-
-
-def test_distances_between():
-    found = distances_between(np.array([[0.0, 0], [3, 4]]), np.array([[3.0, 4], [0, 4], [0, 0]]))
-    np.testing.assert_array_equal(found, [[5, 4, 0], [0, 3, 5]])
-    assert distances_between(np.empty((0, 2)), np.ones((3, 2))).shape == (0, 3)

@@ -67,6 +67,7 @@ def hard_points(workspace, seed):
     return x[workspace.is_free(x)]
 
 
+@pytest.mark.full
 @given(st.integers(0, 100_000), st.booleans(), st.booleans())
 @settings(max_examples=40)
 def test_turn_points_by_triangle_are_as_good_as_all_of_them(seed, lattice, squeeze):

@@ -65,7 +65,13 @@ def are_sides_apart(workspace, x):
     return (workspace.clearance(behind) < 0) == (workspace.clearance(x) >= 0)
 
 
-@pytest.mark.parametrize("build", WORKSPACES.values(), ids=WORKSPACES)
+@pytest.mark.parametrize(
+    "build",
+    [
+        pytest.param(build, id=name, marks=[] if name == "full" else pytest.mark.full)
+        for name, build in WORKSPACES.items()
+    ],
+)
 def test_clearance_is_that_of_the_workspace_its_gradient_that_by_steps(build):
     workspace = build()
     x, tables, width = some_points(workspace), workspace.tables, workspace.bounds.width.max()
@@ -90,6 +96,7 @@ def test_clearance_is_that_of_the_workspace_its_gradient_that_by_steps(build):
     assert (np.abs(gradient - by_steps).max(axis=1)[is_smooth] < 1e-2).mean() > 0.98
 
 
+@pytest.mark.full
 def test_tables_can_be_made_while_a_function_is_traced_and_points_have_any_shape():
     workspace = Workspace(BOUNDS, [NEEDLE])
     x = exact_in_32_bits(np.random.default_rng(0).uniform((0, 0), (12, 10), (4, 5, 2)))
@@ -112,6 +119,7 @@ def test_tables_can_be_made_while_a_function_is_traced_and_points_have_any_shape
     np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1, rtol=1e-5)
 
 
+@pytest.mark.full
 def test_numbers_that_are_not_finite_and_points_far_outside(maze):
     x = np.array([[np.nan, 0.5], [0.5, np.inf], [-np.inf, np.nan], [9, 0.5], [0.5, -7], [5, 5], [-3e6, 1]])
     found, gradient, is_free = (np.asarray(answer) for answer in answers(maze.tables, x))
@@ -129,6 +137,7 @@ def test_numpy_points_are_answered_without_tables():
     assert "tables" not in vars(workspace)
 
 
+@pytest.mark.full
 def test_tables_place_points_of_numpy_in_64_bits(maze):
     origin = np.array([5e5, 4e6])
     far = Workspace((origin, origin + 1), [origin + np.array(wall.exterior.coords) for wall in maze.obstacles])
@@ -143,6 +152,7 @@ def test_wrong_shapes_are_named(maze):
             fn(jnp.zeros((2, 3)))
 
 
+@pytest.mark.full
 def test_memory_is_bounded_where_every_edge_is_the_nearest_somewhere():
     """All edges of a round room are nearly as near its middle, and of a round obstacle as the far outside."""
     angle = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
@@ -160,6 +170,7 @@ def test_few_pairs_at_once_change_nothing(monkeypatch, maze):
         np.testing.assert_array_equal(each, other)
 
 
+@pytest.mark.full
 def test_a_published_map(data_dir):
     workspace = scenes.read_polygons(data_dir / "movingai/dao/den520d_polygons.json")
     x = exact_in_32_bits(workspace.sample_free(3000, 0))
@@ -168,6 +179,7 @@ def test_a_published_map(data_dir):
     assert workspace.tables.is_free(x).all()
 
 
+@pytest.mark.full
 def test_no_shapes_and_types_are_promoted():
     tables, x = Workspace(BOUNDS, [TOUCHING[0]]).tables, jnp.array([(1.0, 6.0), (3.5, 6.0)])
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):

@@ -162,6 +162,7 @@ def test_what_rounding_closes_is_no_obstacle():
     assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
 
 
+@pytest.mark.full
 @given(SEEDS, st.floats(0.05, 1.2))
 @settings(max_examples=25)
 def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radius):

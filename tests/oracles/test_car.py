@@ -114,6 +114,7 @@ def test_paths_end_at_the_goal_and_are_as_long_as_is_said(car, extent):
 WORDS = {"LSL", "LSR", "LRL", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR"}
 
 
+@pytest.mark.full
 def test_all_words_are_used():
     words = WORDS | {word.translate(str.maketrans("LR", "RL")) for word in WORDS}
     for car in CARS:

@@ -53,6 +53,7 @@ def test_the_nearest_dock_and_which_one():
     assert NearestGoal([FIRST, FIRST]).which(x[:1]).tolist() == [0], "of equals the first"
 
 
+@pytest.mark.full
 def test_a_plr_of_it_and_it_of_plrs():
     nearest = NearestGoal(FNS)
     reached = X[X[:, 0] < 8]

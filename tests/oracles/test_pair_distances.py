@@ -35,6 +35,7 @@ def test_straight_around_along_and_nowhere():
     assert oracle.between(x, y).dtype == np.float64 and oracle.between(x[:0], y[:0]).shape == (0,)
 
 
+@pytest.mark.full
 @given(st.integers(0, 100_000), st.sampled_from(WORKSPACES), st.booleans())
 @settings(max_examples=12)
 def test_pairs_are_as_far_apart_as_an_oracle_of_each_goal_says(seed, kind, squeeze):

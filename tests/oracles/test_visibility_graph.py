@@ -226,6 +226,7 @@ def test_distances_equal_those_of_a_plain_visibility_graph_and_paths_are_as_long
             assert workspace.is_visible(path[:-1], path[1:]).all()
 
 
+@pytest.mark.full
 @given(SEEDS, st.booleans(), st.floats(0, 6.28), st.floats(-3, 3), st.floats(-100, 100))
 @example(977, True, 1.0, 0.0, 50.0)
 @example(2286, False, 0.3, -1.5, -70.0)
@@ -250,6 +251,7 @@ def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log
     np.testing.assert_allclose(found, brute_force(workspace, free[1:], free[0]), atol=1e-5)
 
 
+@pytest.mark.full
 @given(SEEDS, st.booleans())
 @example(30254, False)  # a free space at which GEOS fails to find triangles to draw points from
 @settings(max_examples=25, deadline=None)
@@ -441,6 +443,7 @@ def write_members(path, members, method=zipfile.ZIP_STORED):
             archive.writestr(name, data)
 
 
+@pytest.mark.full
 def test_damaged_files_are_read_or_refused_by_name(path):
     """Cut off, with some bits changed, and with any byte of the directory changed."""
     data, rng = path.read_bytes(), np.random.default_rng(0)
