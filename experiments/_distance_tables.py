@@ -83,17 +83,6 @@ def table1(results: dict[str, Any]) -> str:
     return formatted(rows, *columns, ("max error", "{max}"), ("mean error", "{mean}"), words=3) + note
 
 
-def error_curve(results: dict[str, Any]) -> str:
-    """Mean (and largest) error at three budgets."""
-    budgets = [budget for budget in (2048, 8192, 32768) if budget in results["budgets"]]
-    rows = [["map", "approximation", *(f"{budget:,} bytes" for budget in budgets)]]
-    for name, contenders in results["curves"].items():
-        for contender, entries in contenders.items():
-            at = [entries[results["budgets"].index(budget)] for budget in budgets]
-            rows.append([name, contender, *(f"{entry['mean']:.2g} ({entry['max']:.2g})" for entry in at)])
-    return markdown(rows, numbers=len(budgets)) + "\nMean error, and in brackets the largest, in workspace units.\n"
-
-
 def accuracy(results: dict[str, Any]) -> str:
     """Mean errors at equal bytes, one row a map and a contender."""
     maps = results["maps"]

@@ -8,15 +8,9 @@ tenth of them around what has changed since, against an oracle that is built ane
 more than queries in 32 bits round. Errors are means at such points, as shares of the mean distance, of the PLR after
 all changes and of one built anew.
 
-``sequences``: random sequences of changes of small maps, of boxes and polygons that touch, overlap, leave slivers,
-lie outside, and close the goal in: distances are those of an oracle that is built anew, up to rounding, or to the
-tolerance of the workspace where slivers are as thin.
-
 ``pairs``: the same changes, of pairs of 65,536 bytes: CPU seconds of the file, and of the tables that the first query
 makes of it, beside both built anew, every tenth time; then corners are counted that the list of a point has, on which
 the time of a query depends. After every fiftieth change distances and bounds are tested between random free points.
-
-``large``: the workspace and the oracle of a field of obstacles with 17,000 vertices after a change.
 
 ``rivals``: boxes of cells of den520d that are blocked and freed, one after the other, beside the grid searches that
 repair what they found, for one start, and scikit-fmm, which marches again.
@@ -41,13 +35,11 @@ from experiments._measures import timed
 from experiments._runner import Section, run
 from experiments.baselines.incremental import incremental_planners, replanned
 from experiments.benchmarks._maps import load_map, load_maps
-from experiments.benchmarks._oracle import polygon_field
 from plr_jax import PLR, PairPLR, VisibilityGraph, Workspace, construct, construct_pairs, from_bytes, plot, trace
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
 PAIR_MAPS, PAIRS, ASKED_EVERY = ("maze", "arena"), 100_000, 50  # queries of each partition are compiled
 CHANGES, EVERY, POINTS = 100, 10, 1_000_000
-SEQUENCES, STEPS = 2_000, 20
 _ROUNDING = 1e-6  # of the distance and the width: what queries in 32 bits round
 _TRIED = 40  # places of a doorway
 
@@ -160,82 +152,6 @@ def _num_broken(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> int:
 
 def _error(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> float:
     return float(np.abs(np.asarray(plr(x), float) - distance).mean() / distance.mean())
-
-
-def sequences(seed: int, smoke: bool) -> dict[str, Any]:
-    counts = {"sequences": 5 if smoke else SEQUENCES, "changes": 0, "refused": 0, "different": 0}
-    furthest = {"grid": 0.0, "slivers": 0.0}
-    for each in range(counts["sequences"]):
-        rng = np.random.default_rng((seed, each))
-        kinds = ["grid"] if each % 3 == 0 else ["grid", "thin", "polygon", "box"]
-        workspace = Workspace(((0, 0), (8, 8)), squeeze=bool(each % 2))
-        oracle = VisibilityGraph(workspace, rng.uniform(4.1, 4.9, 2))
-        for _ in range(STEPS):
-            present = [i for i, obstacle in enumerate(workspace.obstacles) if not obstacle.is_empty]
-            remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
-            add = [random_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
-            counts["changes"] += 1
-            try:
-                new = workspace.with_obstacles(add, remove)
-                alone = Workspace(workspace.bounds, new.obstacles, squeeze=workspace.squeeze)
-                truth = VisibilityGraph(alone, oracle.goal)
-            except ValueError:  # nothing is free, the goal is covered, or walls are too thin
-                counts["refused"] += 1
-                continue
-            workspace, oracle = new, oracle.with_workspace(new)
-            x = np.concatenate([rng.uniform(0, 8, (100, 2)), rng.integers(0, 9, (20, 2))])
-            x = x[np.abs(alone.clearance(x)) > 1e-7]
-            ours, theirs = oracle(x), truth(x)
-            both = np.isfinite(ours) & np.isfinite(theirs)
-            apart = float(np.abs(ours[both] - theirs[both]).max(initial=0.0)) / 8
-            of_kind = "grid" if len(kinds) == 1 else "slivers"
-            furthest[of_kind] = max(furthest[of_kind], apart)
-            allowed = 1e-12 if len(kinds) == 1 else workspace.tolerance
-            counts["different"] += (np.isfinite(ours) != np.isfinite(theirs)).any() or apart > allowed
-    return (
-        counts
-        | {f"most apart, {name}": value for name, value in furthest.items()}
-        | {"different": int(counts["different"])}
-    )
-
-
-def random_obstacle(rng: np.random.Generator, kind: str) -> shapely.Polygon:
-    """A polygon that may overlap or touch others, be a sliver, or leave the bounds, from (0, 0) to (8, 8)."""
-    corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
-    if kind == "grid":
-        corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
-    if kind == "thin":
-        size[rng.integers(2)] = 10.0 ** -rng.integers(1, 12)
-    if kind == "polygon":
-        turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
-        return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-    return shapely.box(*corner, *(corner + size))
-
-
-VERTICES, FEW = 17_000, 20
-
-
-def large(seed: int, smoke: bool) -> dict[str, Any]:
-    workspace = polygon_field(80 if smoke else VERTICES, seed)[0]
-    goal, rng, made = workspace.sample_free(1, seed)[0], np.random.default_rng(seed), []
-
-    def prepared(workspace: Workspace) -> VisibilityGraph:
-        oracle = VisibilityGraph(workspace, goal)
-        oracle(goal[None])
-        return oracle
-
-    seconds: dict[str, list[float]] = {"workspace": [], "oracle": []}
-    anew, oracle = timed(lambda: prepared(Workspace(workspace.bounds, workspace.obstacles)))
-    for _ in range(2 if smoke else FEW):
-        change, first = _change(rng, oracle, made), len(workspace.obstacles)
-        took, workspace = timed(lambda change=change, workspace=workspace: workspace.with_obstacles(**change))
-        seconds["workspace"].append(took)
-        took, oracle = timed(lambda oracle=oracle, workspace=workspace: oracle.with_workspace(workspace))
-        seconds["oracle"].append(took)
-        made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
-    medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items()}
-    share = {"times as soon": 1e3 * anew / sum(medians.values())}
-    return {"vertices": len(workspace.boundary.vertices), **medians, "ms anew": 1e3 * anew, **share}
 
 
 RIVALS_MAP, LONGEST = "den520d", 0.03
@@ -453,9 +369,7 @@ def _listed(pairs: PairPLR) -> float:
 
 SECTIONS = {
     "maps": Section(maps),
-    "sequences": Section(sequences),
     "pairs": Section(pairs),
-    "large": Section(large),
     "rivals": Section(rivals),
     "doors": Section(doors, draw_doors),
 }

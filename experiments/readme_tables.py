@@ -74,7 +74,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "rivals": (distances.rivals, "benchmark.accuracy"),
     "planning": (uses.planning, "table2", "race"),
     "table1": (distances.table1, "table1"),
-    "error_curve": (distances.error_curve, "error_curve"),
     "accuracy": (distances.accuracy, "benchmark.accuracy"),
     "proofs": (distances.proofs, "proofs", "benchmark.oracle"),
     "proof_speed": (distances.proof_speed, "proofs"),
