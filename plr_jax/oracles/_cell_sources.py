@@ -277,7 +277,7 @@ class SharedCells:
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
         source = named.numbers(kind[order], distance[order] - least[cell[piece]])
-        of_pieces = (getattr(cells, name)[row] for name in ("triangle", "center", "distance", "best"))
+        of_pieces = cells.triangle[row], cells.center[row], cells.distance[row], cells.best[row]
         of_pairs = piece, source, by_all[order]
         found = FamilySources(sight, len(node), cell, cells.pieces[:, row], *of_pieces, *of_pairs)
         # 2. Those that differ by more than a constant.

@@ -98,31 +98,41 @@ class ConeLeaves:
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
         number = np.where(apart <= _FINE * self.domain.width.max(), nearest, len(changed.source))[self.stored.source]
         source, of_source = np.append(changed.source, -1)[number], np.append(changed.source_change, np.nan)[number]
-        changes = _Changes.of(len(source))
-        (lo, hi), is_uniform = self._boxes, ~np.isnan(changed.change)
-        for box in changed.boxes:  # where points may be free that were not
-            changes.differ[((lo <= box[2]) & (hi >= box[0])).all(axis=1)] = True
-        leaf, triangle = self._meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
-        changes.take(leaf, changed.change[triangle])
+        least, most = np.full(len(source), np.inf), np.full(len(source), -np.inf)
+        (lo, hi), differ, is_uniform = self._boxes, np.zeros(len(source), bool), ~np.isnan(changed.change)
+
+        def take(leaf: Leaf, change: Float[np.ndarray, "pairs"]) -> None:
+            np.minimum.at(least, leaf, change)
+            np.maximum.at(most, leaf, change)
+
+        # 1. Where points may be free that were not, or reach the goal that did not, nothing holds.
+        for box in changed.boxes:
+            differ[((lo <= box[2]) & (hi >= box[0])).all(axis=1)] = True
         leaf, triangle = self._meeting(changed.triangles, np.flatnonzero(~is_uniform))
-        changes.differ[leaf[changed.was_cut_off[triangle]]] = True
-        of, pairs = self._as_low(changes, leaf, triangle, changed.before, before, np.zeros(len(source)))
-        changes.differ[of[self._are_cut(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
-        changes.take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
-        if (np.maximum(np.abs(changes.least), np.abs(changes.most))[changes.are_known] > changed.rounding).any():
+        differ[leaf[changed.was_cut_off[triangle]]] = True
+        # 2. What triangles with one change tell, and elsewhere the sources before that paths may set out for.
+        of_uniform = self._meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
+        take(of_uniform[0], changed.change[of_uniform[1]])
+        of, pairs = self._as_low(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
+        differ[of[self._are_cut(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
+        take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
+        if (np.maximum(np.abs(least), np.abs(most))[least <= most] > changed.rounding).any():
             # Triangles in which distances have not changed tell as well.
             still, _ = self._meeting(changed.triangles, np.flatnonzero(changed.change == 0))
-            changes.take(still, np.zeros(len(still)))
-        changes.differ[changes.are_known & ~(changes.most - changes.least <= changed.rounding)] = True
-        changes.differ[~(np.abs(of_source - changes.change) <= 2 * changed.rounding)] = True
-        of, pairs = self._as_low(changes, leaf, triangle, changed.after, after, changes.change)
-        grows_less = np.isnan(pairs.change) | (pairs.change < changes.change[of] - changed.rounding)
-        changes.differ[of[grows_less | self._are_cut(of, pairs, after, changed)]] = True
-        return np.where(changes.differ, np.nan, changes.change), source
+            take(still, np.zeros(len(still)))
+        # 3. The change must be one number, 0 where nothing is known, and that of the leaf's own source.
+        change = np.where(least <= most, most, 0.0)
+        differ[(least <= most) & ~(most - least <= changed.rounding)] = True
+        differ[~(np.abs(of_source - change) <= 2 * changed.rounding)] = True
+        # 4. No source afterwards may lead to a shorter path.
+        of, pairs = self._as_low(differ, leaf, triangle, changed.after, after, change)
+        grows_less = np.isnan(pairs.change) | (pairs.change < change[of] - changed.rounding)
+        differ[of[grows_less | self._are_cut(of, pairs, after, changed)]] = True
+        return np.where(differ, np.nan, change), source
 
     def _as_low(
         self,
-        changes: "_Changes",
+        differ: Bool[np.ndarray, "leaves"],
         leaf: Leaf,
         triangle: Leaf,
         pairs: TriangleSources,
@@ -134,7 +144,7 @@ class ConeLeaves:
         At most these are what was proven of the leaf, and by how much they have grown.
         """
         rows, met = run_members(pairs.first(int(triangle.max(initial=-1)) + 1), triangle)
-        of, is_open = leaf[met], ~changes.differ[leaf[met]]
+        of, is_open = leaf[met], ~differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
         (lo, hi), source = self._boxes, pairs.source[rows]
         apex, offset = sources.points[source], sources.distances[source]
@@ -178,32 +188,6 @@ class ConeLeaves:
             triangle = np.repeat(triangle[~is_leaf], 2)
         leaf, triangle = np.concatenate(found, axis=1)
         return leaf, triangle
-
-
-@dataclass(frozen=True, eq=False)
-class _Changes:
-    """By how much distances in leaves have changed, at least and at most, and where that is not one number."""
-
-    least: Float[np.ndarray, "leaves"]
-    most: Float[np.ndarray, "leaves"]
-    differ: Bool[np.ndarray, "leaves"]
-
-    @staticmethod
-    def of(num: int) -> "_Changes":
-        return _Changes(np.full(num, np.inf), np.full(num, -np.inf), np.zeros(num, bool))
-
-    def take(self, leaf: Leaf, change: Float[np.ndarray, "pairs"]) -> None:
-        np.minimum.at(self.least, leaf, change)
-        np.maximum.at(self.most, leaf, change)
-
-    @property
-    def are_known(self) -> Bool[np.ndarray, "leaves"]:
-        return self.least <= self.most
-
-    @property
-    def change(self) -> Float[np.ndarray, "leaves"]:
-        """One number for each; 0 where nothing is known."""
-        return np.where(self.are_known, self.most, 0.0)
 
 
 # The search of the other leaves.
