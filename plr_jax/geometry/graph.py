@@ -38,15 +38,13 @@ class Graph:
     measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None
 
     def __post_init__(self):
-        edges = self.edges
-        if edges.size and not (edges.min() >= 0 and edges.max() < self.num_vertices):
-            raise ValueError(
-                f"Edges must join vertices 0 to {self.num_vertices - 1}, got {edges.min()} to {edges.max()}."
-            )
+        edges, last = self.edges, len(self.vertices) - 1
+        if edges.size and not (edges.min() >= 0 and edges.max() <= last):
+            raise ValueError(f"Edges must join vertices 0 to {last}, got {edges.min()} to {edges.max()}.")
         if np.any(edges[:, 0] == edges[:, 1]):
             raise ValueError("An edge must join two different vertices.")
         # SciPy adds up repeated entries, which would silently lengthen a repeated edge.
-        if self.adjacency.nnz != 2 * self.num_edges:
+        if self.adjacency.nnz != 2 * len(edges):
             raise ValueError("Each edge must be listed once, in one of its two directions.")
 
     @property
@@ -76,7 +74,7 @@ class Graph:
         start, end = self.edges.T
         # Both directions go in at once: adding a matrix to its transpose would drop the stored zeros.
         rows, columns = np.concatenate([start, end]), np.concatenate([end, start])
-        shape = (self.num_vertices, self.num_vertices)
+        shape = (len(self.vertices), len(self.vertices))
         return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
 
 

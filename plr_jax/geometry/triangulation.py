@@ -216,7 +216,12 @@ class _Mesh:
 
     def insert(self, start: int, end: int) -> None:
         """Take out the triangles that an edge crosses, and fill what is left of it and what is right."""
-        right, left = self._towards(start, end)
+        # 1. Find the edge opposite of the start through which one leaves for the end.
+        right = self.neighbor[start]
+        left = self.apex[start, right]
+        while not (self._turn(start, right, end) >= 0 and self._turn(start, end, left) > 0):
+            right, left = left, self.apex[start, left]
+        # 2. Take out the triangles on the way, and collect the vertices on either side of it.
         on_left, on_right = [left], [right]
         self._remove(start, right, left)
         while (ahead := self.apex[left, right]) != end:
@@ -228,17 +233,9 @@ class _Mesh:
                 right = ahead
                 on_right.append(ahead)
         self._remove(left, right, ahead)
+        # 3. Fill both sides.
         self._fill(start, end, on_left[::-1])
         self._fill(end, start, on_right)
-
-    def _towards(self, start: int, end: int) -> tuple[int, int]:
-        """The edge opposite of a vertex through which one leaves for another, its right and its left end."""
-        right = self.neighbor[start]
-        while True:
-            left = self.apex[start, right]
-            if self._turn(start, right, end) >= 0 and self._turn(start, end, left) > 0:
-                return right, left
-            right = left
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
         """Delaunay triangles of the polygon on the left of an edge, whose other vertices are a chain from its end."""
@@ -251,13 +248,11 @@ class _Mesh:
             for i in range(1, len(chain)):
                 if self._in_circle(start, end, chain[best], chain[i]):
                     best = i
-            self._add(start, end, chain[best])
+            apex = chain[best]
+            for a, b, c in ((start, end, apex), (end, apex, start), (apex, start, end)):
+                self.apex[a, b] = c
+                self.neighbor[a] = b
             pending += [(chain[best], end, chain[:best]), (start, chain[best], chain[best + 1 :])]
-
-    def _add(self, u: int, v: int, w: int) -> None:
-        for a, b, c in ((u, v, w), (v, w, u), (w, u, v)):
-            self.apex[a, b] = c
-            self.neighbor[a] = b
 
     def _remove(self, u: int, v: int, w: int) -> None:
         for edge in ((u, v), (v, w), (w, u)):

@@ -333,7 +333,7 @@ def _cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
     Of one with sectors the middle between the end of its first one and the start of the next, of any other the middle
     of the widest cone.
     """
-    opens, closes = (_angle(towards(boundary)) for towards in (views.opens, views.closes))
+    opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), views.closes(boundary)))
     order = np.lexsort((opens, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
     second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
@@ -341,14 +341,11 @@ def _cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
     angle = np.empty(len(views.points))
     angle[owner] = end + (opens[order[second]] - end) % (2 * np.pi) / 2
     for view in np.flatnonzero(views.looks_around):
-        directions = np.sort(_angle(cones.right[:, cones.view == view].T))
+        dx, dy = cones.right[:, cones.view == view]
+        directions = np.sort(np.arctan2(dy, dx))
         gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
         angle[view] = directions[gaps.argmax()] + gaps.max() / 2
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-def _angle(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-    return np.arctan2(u[:, 1], u[:, 0])
 
 
 def _intervals(

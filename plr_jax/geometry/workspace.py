@@ -71,7 +71,7 @@ class Workspace:
             rings, multipolygons and collections of them, in any iterable; or one such Shapely geometry.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
             a single point. The point itself is free either way.
-        region: The free space and its boundary, if they are known; ``obstacles`` are then taken as they are.
+        region: The free space and its boundary, if they are known; bounds and obstacles are then taken as they are.
 
     Attributes:
         bounds: The region's Box.
@@ -103,9 +103,11 @@ class Workspace:
         squeeze: bool = False,
         region: Region | None = None,
     ):
-        bounds, squeeze = as_bounds(bounds), as_bool("squeeze", squeeze)
-        if region is None:
-            obstacles = as_polygons("Obstacle", obstacles)
+        squeeze = as_bool("squeeze", squeeze)
+        if region is not None:  # its bounds may be more slender than those given from outside, as after inflating
+            bounds = Box.of(bounds)
+        else:
+            bounds, obstacles = as_bounds(bounds), as_polygons("Obstacle", obstacles)
             box, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *obstacles], 8 * grid_of(bounds))
             region = region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
         set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, free_space=region.polygon)

@@ -54,6 +54,7 @@ class _Lists:
         return _Lists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
 
 
+@dataclass(frozen=True, eq=False)
 class PairDistances:
     """Distances between points of a workspace. What is found on the way is kept, but not pickled.
 
@@ -62,8 +63,8 @@ class PairDistances:
         visibility: What its corners see.
     """
 
-    def __init__(self, workspace: Workspace, visibility: CornerVisibility):
-        self.workspace, self.visibility = workspace, visibility
+    workspace: Workspace
+    visibility: CornerVisibility
 
     def __reduce__(self):
         return PairDistances, (self.workspace, self.visibility)

@@ -47,11 +47,6 @@ class Metric:
     weights: Float[np.ndarray, "dim"]
 
     @property
-    def is_euclidean(self) -> bool:
-        """Whether it is the Euclidean distance."""
-        return not self.domain.is_periodic and bool((self.weights == 1).all())
-
-    @property
     def widths(self) -> Float[np.ndarray, "dim"]:
         """Weighted widths of the domain: of a periodic axis its period."""
         return self.weights * self.domain.width
