@@ -4,18 +4,20 @@ A query is that of ``grid_query.py`` in integers. All that depends on the grid b
 header as constants; tables stand one after the other in the file, each at a multiple of 64 bytes.
 """
 
+import re
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Shaped
 
-from plr_jax.pairs.grid_corners import FAR, CornerTable
+from plr_jax.pairs.grid_corners import FAR, CornerTable, open_length, units
 from plr_jax.pairs.grid_query import BLOCK, GROUP, GridTables
-from plr_jax.pairs.grid_sectors import open_length, units
 from plr_jax.plr.portable.writers import require_identifier
 
 _ALIGNED = 64
+_TEMPLATE = Path(__file__).with_name("grid_pairs.h")
 _MAGIC = b"plr_jax grid 1\n\0"
 
 
@@ -33,38 +35,37 @@ class GridHeader:
 
 
 def grid_header(tables: GridTables, name: str) -> GridHeader:
-    """The header of a grid, whose definitions all begin with a name, and its file.
+    """Write the header of a grid, whose definitions all begin with ``name``, and the file of tables that it reads.
 
     Raises:
         ValueError: If the name is no identifier of C.
     """
     require_identifier(name)
-    arrays = {
-        "free": tables.sight.free,
-        "sums": tables.sight.sums,
-        "group_block": tables.group_block,
-        "cell_block": tables.cell_block,
-        "blocks": tables.blocks,
-        "row": tables.row,
-        "column": tables.column,
-        **vars(tables.distances),
-    }
-    parts, lines, size = [_MAGIC], [], len(_MAGIC)
+    distances = tables.distances
+    is_table = isinstance(distances, CornerTable)
+    arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
+    arrays |= {each: getattr(tables, each) for each in ("group_block", "cell_block", "blocks", "row", "column")}
+    arrays |= {each.name: getattr(distances, each.name) for each in fields(distances)}
+    # 1. The file of tables, and a function of C that reads each table.
+    table, accessors = _MAGIC, []
     for of, array in arrays.items():
         data = np.ascontiguousarray(np.asarray(array)).astype(array.dtype.newbyteorder("<"))
-        parts += [bytes(-size % _ALIGNED), data.tobytes()]
-        size += len(parts[-2])
-        lines.append(_accessor(name, of, data, size))
-        size += data.nbytes
-    table = b"".join(parts)
+        table += bytes(-len(table) % _ALIGNED)
+        of_type = f"{'u' if data.dtype.kind == 'u' else ''}int{8 * data.dtype.itemsize}_t"
+        accessors.append(
+            f"static inline int32_t {name}_{of}(uint32_t i)\n"
+            f"{{ return (int32_t)((const {of_type} *)(const void *)({name}_data + {len(table)}u))[i]; }}"
+        )
+        table += data.tobytes()
     table += zlib.crc32(table).to_bytes(4, "little")
-    sight = _SIGHT_4 if tables.connectivity == 4 else _SIGHT_8
-    is_table = isinstance(tables.distances, CornerTable)
-    text = _HEADER.replace("@SIGHT@", sight).replace("@DISTANCES@", _BY_TABLE if is_table else _BY_LABELS)
-    text = text.replace("@ARRAYS@", "\n".join(lines))
+    # 2. The text: sections of the template, whose marks are replaced by what is known of the grid.
+    sections = dict(re.findall(r"^@@ ([\w ]+)\n(.*?)(?=^@@|\Z)", _TEMPLATE.read_text(encoding="utf-8"), re.M | re.S))
     first = np.asarray(tables.group_block)[np.arange(len(tables.cell_block)) // GROUP] + np.asarray(tables.cell_block)
     rows, columns = tables.shape
-    constants = {
+    marks = {
+        "SIGHT": sections[f"sight {tables.connectivity}"],
+        "DISTANCES": sections["distances by table" if is_table else "distances by labels"],
+        "ARRAYS": "\n".join(accessors),
         "ROWS": rows,
         "COLUMNS": columns,
         "CELLS": rows * columns,
@@ -72,7 +73,7 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
         "SIZE": f"{len(table):,}",
         "BYTES": len(table),
         "CRC": int.from_bytes(table[-4:], "little"),
-        "CENTERS": len(tables.distances.between_centers) if isinstance(tables.distances, CornerTable) else 0,
+        "CENTERS": len(distances.between_centers) if isinstance(distances, CornerTable) else 0,
         "MOST": BLOCK * max(int(np.diff(first).max()), 1),
         "FAR": FAR,
         "UNIT": units(tables.connectivity),
@@ -81,225 +82,7 @@ def grid_header(tables: GridTables, name: str) -> GridHeader:
         "GROUP": GROUP,
         "NAME": name,
     }
-    for constant, value in constants.items():
-        text = text.replace(f"@{constant}@", str(value))
+    text = sections["header"]
+    for mark, value in marks.items():
+        text = text.replace(f"@{mark}@", str(value))
     return GridHeader(text, table)
-
-
-def _accessor(name: str, of: str, data: Shaped[np.ndarray, "..."], offset: int) -> str:
-    """The function that reads an entry of a table."""
-    sign = "u" if data.dtype.kind == "u" else ""
-    of_type = f"{sign}int{8 * data.dtype.itemsize}_t"
-    return (
-        f"static inline int32_t {name}_{of}(uint32_t i)\n"
-        f"{{ return (int32_t)((const {of_type} *)(const void *)({name}_data + {offset}u))[i]; }}"
-    )
-
-
-_HEADER = """\
-#ifndef PLR_JAX_@NAME@_H
-#define PLR_JAX_@NAME@_H
-/* Shortest paths between all pairs of cells of a grid of @ROWS@ x @COLUMNS@, @CONNECTIVITY@-connected, by plr_jax.
-
-   @NAME@_open: takes the @SIZE@ bytes of the file of tables, mapped or read, at an address that 64 divides; 0 if they
-   are not those of this header, else 1. It must have returned 1, in each file of code that includes this, before
-   anything else is called. The bytes must stay where they are.
-   @NAME@_check: whether the bytes are undamaged; it reads all of them.
-   @NAME@_steps: how many steps a shortest path has between cells, of which the one in row r and column c has the
-   number @COLUMNS@ r + c; on 8-connected grids its length in steps, rounded down. -1 if no path joins them, one is
-   blocked, or is no cell.
-   @NAME@_units: the same in units of which a step has @UNIT@ and a diagonal one @DIAGONAL@, not rounded.
-   @NAME@_steps_of_pairs: of n pairs.
-
-   All but @NAME@_open may be called by many threads at once. Nothing is allocated. */
-
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
-static const unsigned char *@NAME@_data;
-
-static inline int @NAME@_open(const void *data, size_t size)
-{
-    uint32_t crc;
-    const unsigned char *bytes = (const unsigned char *)data;
-    if (size != @BYTES@u || memcmp(bytes, "plr_jax grid 1\\n", 16) != 0)
-        return 0;
-    crc = (uint32_t)bytes[size - 4] | (uint32_t)bytes[size - 3] << 8 | (uint32_t)bytes[size - 2] << 16
-        | (uint32_t)bytes[size - 1] << 24;
-    if (crc != @CRC@u)
-        return 0;
-    @NAME@_data = bytes;
-    return 1;
-}
-
-static inline int @NAME@_check(void)
-{
-    uint32_t crc = 0xFFFFFFFFu;
-    for (size_t i = 0; i < @BYTES@u - 4u; ++i) {
-        crc ^= @NAME@_data[i];
-        for (int bit = 0; bit < 8; ++bit)
-            crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
-    }
-    return (crc ^ 0xFFFFFFFFu) == @CRC@u;
-}
-
-@ARRAYS@
-
-static inline int32_t @NAME@_abs(int32_t x) { return x < 0 ? -x : x; }
-
-static inline int32_t @NAME@_open_length(int32_t rows, int32_t columns)
-{
-    const int32_t r = @NAME@_abs(rows), c = @NAME@_abs(columns), diagonal = r < c ? r : c;
-    return @UNIT@ * (r + c - 2 * diagonal) + @DIAGONAL@ * diagonal;
-}
-
-static inline int @NAME@_is_free(uint32_t cell)
-{
-    return (int)((uint32_t)@NAME@_free(cell >> 5) >> (cell & 31u) & 1u);
-}
-@SIGHT@
-@DISTANCES@
-/* Corners of a cell, how far it is from each, and the open way from there to another cell. */
-static inline uint32_t @NAME@_corners(
-    uint32_t cell, int32_t row, int32_t column, int32_t to_row, int32_t to_column, int32_t *corner, int32_t *leg,
-    int32_t *way)
-{
-    const uint32_t first = (uint32_t)(@NAME@_group_block(cell / @GROUP@u) + @NAME@_cell_block(cell));
-    const uint32_t end = (uint32_t)(@NAME@_group_block((cell + 1) / @GROUP@u) + @NAME@_cell_block(cell + 1));
-    uint32_t count = 0;
-    for (uint32_t i = @BLOCK@u * first; i < @BLOCK@u * end; ++i) {
-        const int32_t c = @NAME@_blocks(i);
-        const int32_t r = @NAME@_row((uint32_t)c), k = @NAME@_column((uint32_t)c);
-        if (count && corner[count - 1] == c)
-            break; /* what fills the last block */
-        corner[count] = c;
-        leg[count] = @NAME@_open_length(r - row, k - column);
-        way[count++] = @NAME@_open_length(r - to_row, k - to_column);
-    }
-    return count;
-}
-
-static inline int32_t @NAME@_units(uint32_t from, uint32_t to)
-{
-    int32_t corner[@MOST@], leg[@MOST@], way[@MOST@], other[@MOST@], other_leg[@MOST@], other_way[@MOST@];
-    int32_t best = @FAR@;
-    uint32_t count, others, nearest = 0;
-    if (from >= @CELLS@u || to >= @CELLS@u || !@NAME@_is_free(from) || !@NAME@_is_free(to))
-        return -1;
-    const int32_t row = (int32_t)(from / @COLUMNS@u), column = (int32_t)(from % @COLUMNS@u);
-    const int32_t to_row = (int32_t)(to / @COLUMNS@u), to_column = (int32_t)(to % @COLUMNS@u);
-    if (@NAME@_sees(row, column, to_row, to_column))
-        return @NAME@_open_length(row - to_row, column - to_column);
-    count = @NAME@_corners(from, row, column, to_row, to_column, corner, leg, way);
-    others = @NAME@_corners(to, to_row, to_column, row, column, other, other_leg, other_way);
-    if (!count || !others)
-        return -1;
-    for (uint32_t i = 1; i < count; ++i)
-        if (leg[i] + way[i] < leg[nearest] + way[nearest])
-            nearest = i;
-    /* The nearest first, in the place of the first. No path over a corner is shorter than the open way over it. */
-    for (uint32_t i = 0; i < count; ++i) {
-        const uint32_t k = i == 0 ? nearest : i == nearest ? 0 : i;
-        if (leg[k] + way[k] >= best)
-            continue;
-        for (uint32_t j = 0; j < others; ++j) {
-            if (other_leg[j] + other_way[j] < best) {
-                const int32_t length = leg[k] + @NAME@_between_corners(corner[k], other[j]) + other_leg[j];
-                best = length < best ? length : best;
-            }
-        }
-        if (best >= @FAR@)
-            return -1; /* if no path joins these corners none joins any */
-    }
-    return best;
-}
-
-static inline int32_t @NAME@_steps(uint32_t from, uint32_t to)
-{
-    const int32_t length = @NAME@_units(from, to);
-    return length < 0 ? -1 : length / @UNIT@;
-}
-
-static inline void @NAME@_steps_of_pairs(const uint32_t *from, const uint32_t *to, int32_t *steps, size_t n)
-{
-    for (size_t i = 0; i < n; ++i)
-        steps[i] = @NAME@_steps(from[i], to[i]);
-}
-
-#endif
-"""
-
-_BY_TABLE = """\
-static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
-{
-    const uint32_t high = (uint32_t)(a > b ? a : b), low = (uint32_t)(a > b ? b : a);
-    const uint32_t center = (uint32_t)@NAME@_center((uint32_t)a), other = (uint32_t)@NAME@_center((uint32_t)b);
-    return @NAME@_between_centers(center * @CENTERS@u + other) + @NAME@_differences(high * (high + 1) / 2 + low);
-}
-"""
-
-_BY_LABELS = """\
-/* The least sum over common ancestors, which are those that lists of ancestors begin with. */
-static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
-{
-    uint32_t i = (uint32_t)@NAME@_first((uint32_t)a), j = (uint32_t)@NAME@_first((uint32_t)b);
-    const uint32_t end = (uint32_t)@NAME@_first((uint32_t)a + 1), other_end = (uint32_t)@NAME@_first((uint32_t)b + 1);
-    int32_t least = @FAR@;
-    for (; i < end && j < other_end && @NAME@_ancestor(i) == @NAME@_ancestor(j); ++i, ++j) {
-        const int32_t length = @NAME@_length(i) + @NAME@_length(j);
-        least = length < least ? length : least;
-    }
-    return least;
-}
-"""
-
-_SIGHT_4 = """
-/* Whether the rectangle between free cells is free: sums of blocked ones above and before each tell. */
-static inline int @NAME@_sees(int32_t row, int32_t column, int32_t to_row, int32_t to_column)
-{
-    const uint32_t top = (uint32_t)(row < to_row ? row : to_row) * (@COLUMNS@u + 1u);
-    const uint32_t end = ((uint32_t)(row < to_row ? to_row : row) + 1u) * (@COLUMNS@u + 1u);
-    const uint32_t left = (uint32_t)(column < to_column ? column : to_column);
-    const uint32_t right = (uint32_t)(column < to_column ? to_column : column) + 1u;
-    return @NAME@_sums(end + right) - @NAME@_sums(end + left) == @NAME@_sums(top + right) - @NAME@_sums(top + left);
-}
-"""
-
-_SIGHT_8 = """
-/* Whether all steps in the parallelogram between free cells are legal, in a view of the grid in which it leads to
-   higher rows and columns, by no fewer columns than rows: sums over rows and slanted columns tell. */
-static inline int @NAME@_sees(int32_t row, int32_t column, int32_t to_row, int32_t to_column)
-{
-    const int transposed = @NAME@_abs(to_row - row) > @NAME@_abs(to_column - column);
-    const int mirrored = (to_row < row && to_column > column) || (to_row > row && to_column < column);
-    const int straight = row == to_row || column == to_column;
-    const int32_t width = transposed ? @ROWS@ : @COLUMNS@;
-    int32_t r = transposed ? column : row, to_r = transposed ? to_column : to_row;
-    int32_t c = transposed ? row : column, to_c = transposed ? to_row : to_column, swap;
-    uint32_t table, first, last, aside;
-    int32_t count;
-    if (mirrored) {
-        c = width - 1 - c;
-        to_c = width - 1 - to_c;
-    }
-    if (to_r < r) {
-        swap = r;
-        r = to_r;
-        to_r = swap;
-    }
-    if (to_c < c) {
-        swap = c;
-        c = to_c;
-        to_c = swap;
-    }
-    table = (@ROWS@u + 1u) * (@COLUMNS@u + 1u) * (3u * (uint32_t)transposed + (straight ? 2u : (uint32_t)mirrored));
-    first = table + (uint32_t)(r + 1) * ((uint32_t)width + 1u);
-    last = table + (uint32_t)(to_r + 1) * ((uint32_t)width + 1u);
-    aside = (uint32_t)(to_r - r);
-    count = @NAME@_sums(last + (uint32_t)to_c + 1u) - @NAME@_sums(last + (uint32_t)c + aside);
-    if (!straight)
-        count -= @NAME@_sums(first + (uint32_t)to_c - aside + 1u) - @NAME@_sums(first + (uint32_t)c);
-    return count == 0;
-}
-"""

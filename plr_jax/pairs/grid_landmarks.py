@@ -28,11 +28,8 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt16, UInt
 from tqdm import tqdm
 
 import plr_jax
-from plr_jax.pairs.grid_corners import FAR, MOST_BYTES
-from plr_jax.pairs.grid_query import cells_of, in_steps
-from plr_jax.pairs.grid_sectors import open_length
-from plr_jax.pairs.grid_sight import Cells, bits_of, looked_up, narrow
-from plr_jax.pairs.grid_window import squares_around, whole_steps
+from plr_jax.pairs.grid_corners import FAR, MOST_BYTES, looked_up, open_length
+from plr_jax.pairs.grid_query import Cells, bits_of, cells_of, in_steps, narrow, squares_around, whole_steps
 from plr_jax.plr._checkpoint import Checkpoint
 from plr_jax.plr._chunks import Chunk, Done
 

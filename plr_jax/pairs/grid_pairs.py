@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike, CellGraph
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.grid_corners import MOST_BYTES
+from plr_jax.pairs.grid_corners import CONNECTIVITIES, MOST_BYTES, TablesTooLarge
 from plr_jax.pairs.grid_header import GridHeader, grid_header
 from plr_jax.pairs.grid_landmarks import (
     MOST_LANDMARKS,
@@ -23,9 +23,15 @@ from plr_jax.pairs.grid_landmarks import (
     landmark_tables,
     landmarks_within,
 )
-from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
-from plr_jax.pairs.grid_sectors import CONNECTIVITIES, TablesTooLarge
-from plr_jax.pairs.grid_window import distances_around
+from plr_jax.pairs.grid_query import (
+    SLACK,
+    GridTables,
+    corners_from,
+    distances_around,
+    evaluate_pairs,
+    evaluate_to,
+    tables_of,
+)
 from plr_jax.plr._checkpoint import require_path
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC

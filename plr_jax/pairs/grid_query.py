@@ -7,7 +7,8 @@ pairs of blocks are left, and taken in chunks of pairs of about as many.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -17,9 +18,138 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
 from plr_jax._arrays import parts, runs
-from plr_jax.pairs.grid_corners import FAR, MOST_BYTES, CornerLabels, CornerTable, corner_distances
-from plr_jax.pairs.grid_sectors import corner_cells, open_length, taut_corners, units
-from plr_jax.pairs.grid_sight import Cells, IllegalSteps, looked_up, narrow, sees, sight_of
+from plr_jax.pairs.grid_corners import (
+    FAR,
+    MOST_BYTES,
+    CornerLabels,
+    CornerTable,
+    corner_cells,
+    corner_distances,
+    looked_up,
+    open_length,
+    taut_corners,
+    units,
+)
+
+_WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
+
+Cells = Int[Array, "n 2"]
+"""Row and column of each of some cells of the grid."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class IllegalSteps:
+    """Sums that tell which cells see each other, see :func:`sees`.
+
+    Attributes:
+        sums: Tables with a row and a column of zeros before those of the grid, one after the other. Of a 4-connected
+            grid, blocked cells above and before each. Of an 8-connected one, illegal diagonal steps as it is, and
+            mirrored, and blocked cells before each in its row; then these three of the transposed grid. Only those
+            beside a free cell count.
+        free: Bits of the cells in row-major order, the lowest of a word first.
+        shape: Rows and columns of the grid.
+        connectivity: 4 or 8.
+    """
+
+    sums: Integer[Array, "sums"]
+    free: UInt32[Array, "words"]
+    shape: tuple[int, int] = field(metadata={"static": True})
+    connectivity: int = field(metadata={"static": True})
+
+
+def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
+    """Count the illegal steps of a grid."""
+
+    def sums_along_rows(marks: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
+        return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
+
+    def is_beside_free(grid: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+        around = np.pad(grid, ((0, 0), (1, 1)))
+        return around[:, :-2] | around[:, 2:]
+
+    def slanted_sums(grid: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
+        """Illegal diagonal steps that end in the rows until each cell's, at no greater ``column - row``."""
+        cells = np.stack([grid[1:, 1:], grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:]])
+        sums = sums_along_rows(np.pad(cells.any(axis=0) & ~cells.all(axis=0), ((1, 0), (1, 0))))
+        for row in range(1, len(sums)):
+            sums[row, 1:] += sums[row - 1, :-1]
+        return sums
+
+    if connectivity == 4:
+        tables = [sums_along_rows(~free & (is_beside_free(free) | is_beside_free(free.T).T)).cumsum(axis=0)]
+    else:
+        tables = []
+        for grid in (free, free.T):
+            in_rows = sums_along_rows(~grid & is_beside_free(grid))
+            tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), in_rows]
+    flat = np.concatenate([table.ravel() for table in tables])
+    return IllegalSteps(jnp.asarray(narrow(flat)), jnp.asarray(bits_of(free)), free.shape, connectivity)
+
+
+def bits_of(free: Bool[np.ndarray, "rows columns"]) -> UInt32[np.ndarray, "words"]:
+    """Bits of the cells in row-major order, the lowest of a word first."""
+    return np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
+
+
+def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
+    """Whether cells of the grid are free."""
+    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
+    return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
+
+
+def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
+    """Whether cells of the grid see each other; blocked ones see none."""
+    count = _count_in_rectangles if sight.connectivity == 4 else _count_in_sectors
+    return is_free(sight, p) & (count(sight, p, q) == 0)
+
+
+def _count_in_rectangles(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
+    """Blocked cells in the rectangles between cells."""
+    (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
+    stride = sight.shape[1] + 1
+    above, below = row * stride, (last_row + 1) * stride
+    return _between(sight, below, column, last_column) - _between(sight, above, column, last_column)
+
+
+def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
+    """Illegal diagonal steps in the parallelograms between cells; of cells in one line the blocked ones.
+
+    The grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
+    """
+    way = q - p
+    transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
+    mirrored = way[:, 0] * way[:, 1] < 0
+    straight = (way == 0).any(axis=1)
+    rows, columns = sight.shape
+    width = jnp.where(transposed, rows, columns)
+    (row, column), (other_row, other_column) = (jnp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
+    column, other_column = (jnp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
+    row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
+    column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
+
+    table = (
+        (rows + 1)
+        * (columns + 1)
+        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
+    )
+    first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
+    aside = last_row - row
+    until_last = _between(sight, last, column + aside, last_column)
+    return until_last - jnp.where(straight, 0, _between(sight, first, column, last_column - aside))
+
+
+def _between(
+    sight: IllegalSteps, row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]
+) -> Int[Array, "n"]:
+    """What the sums of a row, that begins there, increase by from before a column to the last one."""
+    return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
+
+
+def narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
+    """The same in as few bytes each as do."""
+    return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
+
 
 # What a query of pairs reads: all derived from the cells of a grid.
 
@@ -68,7 +198,16 @@ class GridTables:
 def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int = MOST_BYTES) -> GridTables:
     """The tables of a grid; raises ``TablesTooLarge`` if one of them takes more bytes."""
     first, corners = taut_corners(free, connectivity, most_bytes)
-    first_block, blocks = _in_blocks(first, corners)
+    # The corners of each cell in blocks, the last of which repeats the cell's last corner.
+    counts = np.diff(first)
+    num_blocks = -(-counts // BLOCK)
+    first_block = np.concatenate([[0], np.cumsum(num_blocks)])
+    blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
+    for some in parts(num_blocks, _BLOCKS_AT_ONCE):
+        cell, block = runs(num_blocks[some])
+        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
+        begin = first_block[some.start]
+        blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
@@ -81,28 +220,10 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int, most_by
         jnp.asarray(column),
         distances=corner_distances(free, connectivity, most_bytes),
     )
-    return jax.tree_util.tree_map(_not_empty, tables)
-
-
-def _not_empty(table: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
-    """The table, or zeros: what is empty is read as well, though what is read is not used."""
-    return table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype)
-
-
-def _in_blocks(
-    first: Int[np.ndarray, "cells_plus_one"], corners: Int32[np.ndarray, "pairs"]
-) -> tuple[Int[np.ndarray, "cells_plus_one"], Integer[np.ndarray, "blocks 4"]]:
-    """Where the blocks of each cell begin, and the blocks, of corners that stand cell by cell."""
-    counts = np.diff(first)
-    num_blocks = -(-counts // BLOCK)
-    first_block = np.concatenate([[0], np.cumsum(num_blocks)])
-    blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
-    for some in parts(num_blocks, _BLOCKS_AT_ONCE):
-        cell, block = runs(num_blocks[some])
-        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
-        begin = first_block[some.start]
-        blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]
-    return first_block, blocks
+    # An empty table is read as well, though what is read is not used.
+    return jax.tree_util.tree_map(
+        lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
+    )
 
 
 _BLOCKS_AT_ONCE = 2**20
@@ -141,7 +262,8 @@ def evaluate_to(
         return looked_up(from_goal, corners)
 
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
-    lengths = _where_seen(tables, p, q, around.reshape(-1)[: len(p)])
+    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
+    lengths = jnp.where(sees(tables.sight, p, q), open_way, around.reshape(-1)[: len(p)])
     return in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
 
 
@@ -327,12 +449,6 @@ def _least_around(
     return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
-def _where_seen(tables: GridTables, p: Cells, q: Cells, around: Int32[Array, "n"]) -> Int32[Array, "n"]:
-    """Length in units between cells that see each other, of others the way around corners."""
-    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
-    return jnp.where(sees(tables.sight, p, q), open_way, around)
-
-
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """Where the blocks of each cell's corners begin, and how many there are."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
@@ -350,3 +466,176 @@ def in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "
     whole = whole.astype(part.dtype)
     steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
     return jnp.where(inside & (length < FAR), steps, jnp.inf)
+
+
+NO_WAY = -1
+"""What stands for cells from which no path leads to the goal."""
+
+_RIM_CELLS_AT_ONCE = 2**13  # cells of rims whose distances are computed together
+_AGENTS = 1024  # whose squares are looked at at once
+
+# Agents are the last axis, along which processors work on many numbers at once.
+Square, Marks = Int32[Array, "width width n"], Bool[Array, "width width n"]
+Rim = Int32[Array, "rim n"]
+_Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
+_Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
+
+
+@partial(jax.jit, static_argnames="radius")
+def distances_around(
+    tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
+) -> Int32[Array, "n width width"]:
+    """Whole steps from each cell of the squares around the cells of positions to those of goals."""
+    (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
+    row, column, on_grid = squares_around(tables.shape, position, radius)
+    in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
+    free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
+
+    # The rim of a square, from cell to neighboring cell, beginning with a corner.
+    side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
+    around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
+    if radius == 0:
+        around = np.zeros(1, int), np.zeros(1, int)
+    cells = jnp.stack([row[around], column[around]], axis=-1)
+    # The corners toward the goal and away from it: mostly what is between them is so far that it needs no asking.
+    turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
+    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
+    is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
+    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    reached = _spread_in_parts(tables.connectivity, jnp.where(free, known, FAR), free)
+    return whole_steps(tables.connectivity, reached, free & inside & goal_inside)
+
+
+def squares_around(shape: tuple[int, int], position: Cells, radius: int) -> tuple[Square, Square, Marks]:
+    """Rows and columns of the cells around positions, and which are cells of the grid."""
+    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
+    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
+    return row, column, (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+
+
+def whole_steps(connectivity: int, lengths: Square, answered: Marks) -> Int32[Array, "n width width"]:
+    """Lengths of units in whole steps, agent by agent; -1 where they are far, or not answered."""
+    steps = jnp.where(answered & (lengths < FAR), lengths // units(connectivity), NO_WAY)
+    return jnp.moveaxis(steps, -1, 0)
+
+
+def _lengths_of_rim(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    free: Bool[Array, "rim n"],
+    goal: Int32[Array, "n 2"],
+    asked_first: Bool[Array, "rim n"],
+) -> Rim:
+    """Lengths from the cells of rims to goals in units, at least ``FAR`` where there is no path."""
+    straight = int(open_length(tables.connectivity, 0, 1))
+    beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
+    place = jnp.arange(len(cells), dtype=jnp.int32)
+
+    def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+        """Place and length of the last known cell until each, or of the first from each on."""
+
+        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
+            place, length, is_known = cell
+            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
+            return nearest, nearest
+
+        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
+
+    def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
+        lengths, known, wanted = state
+        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
+        # What is free is known at both ends of each row of free cells; the rim ends where it begins.
+        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
+        at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
+        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
+        is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
+        from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
+        new = free & ~known & is_settled
+        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
+        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
+
+    start = free & (asked_first | beside_blocked)
+    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
+    return lax.while_loop(lambda state: state[2].any(), step, none)[0]
+
+
+def _asked(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    goal: Int32[Array, "n 2"],
+    lengths: Rim,
+    wanted: Bool[Array, "rim n"],
+) -> Rim:
+    """The lengths, and those of the wanted cells."""
+    size = min(_RIM_CELLS_AT_ONCE, wanted.size)
+    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
+    none = jnp.zeros_like(lengths[0])
+    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
+    end = jnp.cumsum(count)
+    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # agent by agent
+    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
+    flat = cells.reshape(-1, 2)
+
+    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
+        asked = lax.dynamic_slice(number, (some * size,), (size,))
+        of = jnp.minimum(asked, wanted.size - 1)
+        start = goal[of % len(goal)]
+        # Behind the last are cells that see themselves, which takes next to no time.
+        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
+        found = lengths_between_cells(tables, *ends)
+        return lengths.at[asked].set(found, mode="drop")
+
+    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
+
+
+def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
+    """As :func:`_spread`, of as many agents at once as caches hold."""
+    agents = lengths.shape[-1]
+    size = min(_AGENTS, max(agents, 1))
+
+    def parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
+        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
+        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
+
+    done = lax.map(lambda part: _spread(connectivity, *part), (parts(lengths, FAR), parts(free, False)))
+    return jnp.moveaxis(done, 0, 2).reshape(*lengths.shape[:2], -1)[..., :agents]
+
+
+def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
+    """Lengths over the squares from where they are known, at least ``FAR`` where no path leads to."""
+    straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
+    turns = (-1, 1) if connectivity == 8 else ()
+
+    def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
+        return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
+
+    def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
+        """Lengths with those that steps from row to row lead to."""
+
+        def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
+            (last_row, last_free), (row, is_free) = last, here
+            row = jnp.minimum(row, last_row + straight)
+            for right in turns:
+                is_legal = last_free & beside(is_free, False, right)
+                row = jnp.minimum(row, jnp.where(is_legal, beside(last_row, FAR, right) + diagonal, FAR))
+            row = jnp.where(is_free, row, FAR)
+            return (row, is_free), row
+
+        border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
+        return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
+
+    across = free.swapaxes(0, 1)
+
+    def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
+        best = state[0]
+        for reverse in (False, True):
+            best = swept(best, free, turns, reverse)
+        best = best.swapaxes(0, 1)
+        for reverse in (False, True):
+            best = swept(best, across, (), reverse)
+        best = best.swapaxes(0, 1)
+        return best, (best < state[0]).any()
+
+    return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]

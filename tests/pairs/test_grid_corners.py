@@ -5,7 +5,7 @@ from grid_helpers import dijkstra, drawn, mosaic
 
 from plr_jax.pairs import grid_corners
 from plr_jax.pairs.grid_corners import FAR, MOST_BYTES, CornerLabels, CornerTable, corner_distances
-from plr_jax.pairs.grid_sectors import TablesTooLarge, corner_cells
+from plr_jax.pairs.grid_corners import TablesTooLarge, corner_cells
 
 BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
 

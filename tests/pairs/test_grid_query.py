@@ -5,7 +5,7 @@ from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax._arrays import runs
 from plr_jax.pairs.grid_corners import MOST_BYTES
 from plr_jax.pairs.grid_query import BLOCK, tables_of
-from plr_jax.pairs.grid_sectors import taut_corners
+from plr_jax.pairs.grid_corners import taut_corners
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])

@@ -4,7 +4,7 @@ from grid_helpers import drawn
 
 from plr_jax._arrays import runs
 from plr_jax.pairs.grid_corners import MOST_BYTES
-from plr_jax.pairs.grid_sectors import corner_cells, corners_in_sight, taut_corners
+from plr_jax.pairs.grid_corners import corner_cells, corners_in_sight, taut_corners
 
 BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from grid_helpers import legal, mosaic, pairs_of_tiles
 
-from plr_jax.pairs.grid_sight import sees, sight_of
+from plr_jax.pairs.grid_query import sees, sight_of
 
 
 def all_open_paths(p, q, connectivity):
