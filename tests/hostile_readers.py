@@ -16,8 +16,7 @@ from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
-from plr_jax.pairs.outline import Outline
-from plr_jax.pairs.stored import Stored
+from plr_jax.pairs.stored import Outline, Stored
 from plr_jax.plr.container import Header
 from plr_jax.plr.partition.cells import Cells, levels_of
 
@@ -115,7 +114,7 @@ def _plr_files() -> list[bytes]:
 def _pairs_files() -> list[bytes]:
     pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
     data, many = pairs.to_bytes(), corridor(8192)
-    return [data, *(data[:mark] for mark in pairs.file_marks), *(many[:mark] for mark in Header.read(many).marks)]
+    return [data, many]
 
 
 def corridor(count: int) -> bytes:
@@ -124,7 +123,7 @@ def corridor(count: int) -> bytes:
     points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
     outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
     tree, corner, joined = levels_of(Cells.root(2))[0], np.arange(count), np.zeros((0, 2), np.int64)
-    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0, 0.0).to_bytes()
+    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0).to_bytes()
 
 
 def _picture_files() -> list[bytes]:

@@ -6,8 +6,7 @@ from piece_helpers import TEN, box
 from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
-from plr_jax.pairs.outline import Outline
-from plr_jax.pairs.stored import Stored
+from plr_jax.pairs.stored import Outline, Stored
 from plr_jax.plr.partition.cells import Cells, levels_of
 
 MAZE = scenes.maze().workspace
@@ -56,7 +55,7 @@ def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0)
     levels = levels_of(Cells.root(2) if cells is None else cells)[0]
     leaf, listed = (0 * corner, corner) if lists is None else lists
     joined = np.array(joined, int).reshape(-1, 2)
-    return Stored(Box((0, 0), domain), outline, corner, joined, levels, leaf, listed, rounding, rounding)
+    return Stored(Box((0, 0), domain), outline, corner, joined, levels, leaf, listed, rounding)
 
 
 def serpentine(corners, joined=()):

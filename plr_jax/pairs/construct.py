@@ -15,19 +15,14 @@ from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.outline import Outline
-from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.portable import RECEDING
-from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
+from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, Stored, distances_by_rows, most_leaves
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth.limits import Limits, grow
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.partition.cells import Cells, levels_of
-
-# The outline of a workspace on the widest lattice that holds it.
-
 
 _FINEST = 2.0**-24  # of the width: 32-bit floats tell no finer
 
@@ -219,36 +214,6 @@ DEFAULT_MAX_BYTES = 2**16
 _SLACK = 8  # tolerances of the workspace
 
 
-def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> PairPLR:
-    """Build a PairPLR: the distance between any two points of a planar workspace.
-
-    The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
-    first. The file holds free space, which pairs of corners are joined, the partition and the lists, in layers of
-    which the first is enough to answer (see ``file_marks``). Distances are exact but for the rounding of 32-bit
-    floats, whatever the budget, and but for points nearer to a wall than 4e-6 of the domain's width: these may see
-    past its ends, and be told up to 2e-5 of the width too little; and beside a wall thinner than 8e-6, or where walls
-    touch, they see what is on both sides, and are told the lesser distance. Beside a part that thin which grows out
-    of where obstacles overlap, a lower bound may be the distance around its other end. More bytes make queries
-    faster, as fewer corners need to be looked at, and are spent only as long as they do.
-
-    Args:
-        workspace: The free space, with at most 8,192 corners that stand out into it.
-        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
-
-    Returns:
-        The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
-
-    Raises:
-        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
-            than 8e-6 of its width; or if free space and corners alone take more bytes.
-
-    References:
-        "all-pairs" in Section II of the paper.
-    """
-    limits = limits_of(workspace, max_bytes)
-    return pairs_of_stored(*grown(workspace, limits, *without_lists(workspace)), MadeOf(workspace, max_bytes))
-
-
 def grown(
     workspace: Workspace,
     limits: Limits,
@@ -320,12 +285,25 @@ def without_lists(workspace: Workspace) -> tuple[CornerVisibility, Stored, Int[n
             "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
         )
     corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
-    edges = in_order(rank[taut_edges(visibility)])
-    undivided = levels_of(Cells.root(2))[0], np.zeros(0, np.int64), np.zeros(0, np.int64)
-    unlisted = Stored(domain, outline, corner, edges, *undivided, 0.0, None)
+    # Joined are corners that see one another and whose line is tangent at both: what shortest paths are made of.
+    a, b = visibility.edges.T
+    is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
+    edges = np.unique(np.sort(rank[visibility.edges[is_taut]], axis=1)[:, ::-1], axis=0)[:, ::-1]
+    # A path by the corners has two legs, each of which changes by no more than its corner moves when the file rounds
+    # it, and the distance between these corners, of which all are compared. Visibility itself has a tolerance.
+    none = np.zeros(0, np.int64)
+    unlisted = Stored(domain, outline, corner, edges, levels_of(Cells.root(2))[0], none, none, 0.0)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
-    return visibility, _with_roundings(unlisted, true, _SLACK * workspace.tolerance), rank
+    moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
+    largest = 0.0
+    for (_, one), (_, other) in zip(
+        distances_by_rows(true, edges), distances_by_rows(unlisted.points, edges), strict=True
+    ):
+        with np.errstate(invalid="ignore"):
+            largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
+    rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
+    return visibility, replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf)))), rank
 
 
 def corners_in_outline(
@@ -343,26 +321,3 @@ def corners_in_outline(
     rank = np.empty(len(point), np.int64)
     rank[np.argsort(point)] = np.arange(len(point))
     return np.sort(point), rank
-
-
-def _with_roundings(stored: Stored, true: Float[np.ndarray, "corners 2"], slack: float) -> Stored:
-    """With the largest difference in length between a way by the corners as a file rounds them and by the true ones.
-
-    A way has two legs, each of which changes by no more than its corner moves, and the distance between these
-    corners, of which all are compared: by the joined pairs, and by those that follow from the outline if they are
-    as good as queries are beside walls. The slack is how well visibility itself is known.
-    """
-    moved = float(np.linalg.norm(true - stored.points, axis=1).max(initial=0.0))
-
-    def rounding(edges: Int[np.ndarray, "edges 2"]) -> float:
-        difference = largest_difference(true, stored.edges, stored.points, edges)
-        return float(np.nextafter(np.float32(2 * moved + difference + slack), np.float32(np.inf)))
-
-    stored = replace(stored, rounding=rounding(stored.edges))
-    try:
-        edges = replace(stored, joined=None).edges
-    except ValueError:  # details narrower than the lattice leave an outline of nothing
-        return stored
-    of_outline = stored.rounding if np.array_equal(edges, stored.edges) else rounding(edges)
-    is_as_good = of_outline <= RECEDING * float(stored.domain.width.max())
-    return replace(stored, rounding_of_outline=of_outline if is_as_good else None)

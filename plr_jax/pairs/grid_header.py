@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
 
 from plr_jax.pairs.grid_corners import FAR, CornerTable, open_length, units
 from plr_jax.pairs.grid_query import BLOCK, GROUP, GridTables

@@ -1,7 +1,7 @@
 """PairPLR: the distance between any two points of a planar workspace, from one file, or to one goal."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,13 +16,18 @@ from jaxtyping import Array, Float, UInt8
 from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.goals import PreparedGoals, distances_to_corners, ways_to_goals
-from plr_jax.pairs.module import js_pairs_module
 from plr_jax.pairs.one_goal import plr_to
-from plr_jax.pairs.portable import NumpyPairs
-from plr_jax.pairs.query import is_inside, shortest_ways
+from plr_jax.pairs.portable import NumpyPairs, js_pairs_module
+from plr_jax.pairs.query import (
+    PairTables,
+    PreparedGoals,
+    build_pair_tables,
+    distances_to_corners,
+    is_inside,
+    shortest_ways,
+    ways_to_goals,
+)
 from plr_jax.pairs.stored import Stored
-from plr_jax.pairs.tables import PairTables, build_pair_tables
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import HeldFile, held
 from plr_jax.plr.frame import Outside, as_outside, require_resolved
@@ -38,6 +43,13 @@ _ROUNDINGS = 16
 _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
 
 
+class MadeOf(NamedTuple):
+    """The inputs of a construction that the file does not hold: the map, and the budget."""
+
+    workspace: "Workspace | None"
+    max_bytes: int | None
+
+
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(HeldFile):
@@ -51,19 +63,20 @@ class PairPLR(HeldFile):
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+    _known_tables: PairTables | None = field(default=None, repr=False)
+    _known_stored: Stored | None = field(default=None, repr=False)
+    _made_of: MadeOf = field(default=MadeOf(None, None), repr=False)
 
     @cached_property
     def tables(self) -> PairTables:
         """What a query reads, derived from the file alone when it is first asked for.
 
-        They are many times as large as the file, and may take as many times as long as it to make. Raises
-        ``ValueError`` if the file was cut off behind its outline, and that is none.
+        They are many times as large as the file, and may take as many times as long as it to make.
         """
+        if self._known_tables is not None:
+            return self._known_tables
         with jax.ensure_compile_time_eval():  # also where a function is traced that closes over it
-            try:
-                return build_pair_tables(self.stored, self.num_bytes)
-            except ValueError as error:
-                raise ValueError(f"The file cannot be asked: {error}.") from error
+            return build_pair_tables(self.stored, self.num_bytes)
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
         """The tables and the file."""
@@ -73,15 +86,13 @@ class PairPLR(HeldFile):
     def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
         """That of tables and a file."""
         tables, file = children
-        pairs = cls(file)
-        vars(pairs)["tables"] = tables
-        return pairs
+        return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
         """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
-        labeled = super().with_label(label)
-        vars(labeled).update({name: each for name, each in vars(self).items() if name in ("tables", "_origin")})
-        return labeled
+        stored = replace(self.stored, label=label)
+        known = self.__dict__.get("tables")  # if they have been built
+        return replace(super().with_label(label), _known_tables=known, _known_stored=stored)
 
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
@@ -214,13 +225,14 @@ class PairPLR(HeldFile):
         """
         from plr_jax.pairs.updated import updated_pairs  # which no query needs
 
-        origin = vars(self).get("_origin", MadeOf(before, None))
-        if (before := origin.workspace if before is None else before) is None:
+        if (before := self._made_of.workspace if before is None else before) is None:
             raise ValueError(
                 "The map that these pairs are of is not known, as of pairs from a file: give the workspace before, "
                 "pairs.updated(workspace, before)."
             )
-        return updated_pairs(self, workspace, before, origin.max_bytes if max_bytes is None else max_bytes)
+        max_bytes = self._made_of.max_bytes if max_bytes is None else max_bytes
+        stored, data = updated_pairs(self.stored, workspace, before, max_bytes)
+        return PairPLR(held(data), None, stored, MadeOf(workspace, max_bytes))
 
     def numpy(self) -> NumpyPairs:
         """The same in NumPy, by the arithmetic that readers in other languages keep to: see ``pairs/portable.py``."""
@@ -234,9 +246,6 @@ class PairPLR(HeldFile):
 
         Returns:
             The text of the module.
-
-        Raises:
-            ValueError: If the file was cut off before its lists of corners.
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
@@ -272,7 +281,7 @@ class PairPLR(HeldFile):
     @cached_property
     def stored(self) -> Stored:
         """What the file holds."""
-        return Stored.from_bytes(self.to_bytes())
+        return self._known_stored or Stored.from_bytes(self.to_bytes())
 
     @property
     def domain(self) -> Box:
@@ -296,23 +305,45 @@ class PairPLR(HeldFile):
         return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
 
 
-class MadeOf(NamedTuple):
-    """What pairs were made of, which their file does not hold: the map, and the budget."""
+def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
+    """Build a PairPLR: the distance between any two points of a planar workspace.
 
-    workspace: "Workspace | None"
-    max_bytes: int | None
+    The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
+    first. The file holds free space, which pairs of corners are joined, the partition and the lists. More bytes make
+    queries faster, as fewer corners need to be looked at, and are spent only as long as they do.
 
+    Distances are exact but for the rounding of 32-bit floats, whatever the budget, with these exceptions:
 
-def pairs_of_stored(stored: Stored, data: bytes, origin: MadeOf | None = None) -> PairPLR:
-    """The PairPLR of what a file holds, whose bytes are these."""
-    pairs = PairPLR(held(data))
-    vars(pairs).update({"stored": stored} if origin is None else {"stored": stored, "_origin": origin})
-    return pairs
+    - Points nearer to a wall than 4e-6 of the domain's width may see past its ends, and get up to 2e-5 of the width
+      too little.
+    - Beside a wall thinner than 8e-6 of the width, or where walls touch, points see what is on both sides, and get
+      the lesser distance. Beside a part that thin which grows out of where obstacles overlap, a lower bound may be
+      the distance around its other end.
+
+    Args:
+        workspace: The free space, with at most 8,192 corners that stand out into it.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
+
+    Returns:
+        The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
+
+    Raises:
+        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
+            than 8e-6 of its width; or if free space and corners alone take more bytes.
+
+    References:
+        "all-pairs" in Section II of the paper.
+    """
+    from plr_jax.pairs.construct import grown, limits_of, without_lists  # which no query needs
+
+    limits = limits_of(workspace, max_bytes)
+    stored, data = grown(workspace, limits, *without_lists(workspace))
+    return PairPLR(held(data), None, stored, MadeOf(workspace, max_bytes))
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
-    """The PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    return pairs_of_stored(Stored.from_bytes(data), data)
+    """Return the PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    return PairPLR(held(data), None, Stored.from_bytes(data))
 
 
 @partial(jax.jit, static_argnames="outside")
@@ -354,10 +385,10 @@ def _distances_to(
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
     (x, y), shape, answer = _checked(tables, x, points[number])
     single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
-    length, via = ways_to_goals(tables, jax.lax.stop_gradient(to_corners), single, end, number.ravel())
+    ways = ways_to_goals(tables, jax.lax.stop_gradient(to_corners), single, end, number.ravel())
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
-    via, length = via.astype(x.dtype), length.astype(x.dtype)
+    via, length = ways.from_x.astype(x.dtype), ways.length.astype(x.dtype)
     # As it changes with the point, also by what 32 bits leave of it.
     change = _norm(x - via) - _norm(single.astype(x.dtype) - via)
     length += jnp.where(jnp.isfinite(length), change, 0)

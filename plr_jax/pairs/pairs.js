@@ -75,10 +75,9 @@ function readPairs({ domain, layers }, fileBytes) {
     if (count > MOST_CORNERS) fail(`it has ${count} corners; at most ${MOST_CORNERS} are read`);
     const joined = from => Array.from(from.members(count * (count - 1) / 2), pairOf);
     let edges;
-    if (!body.isAtEnd()) edges = joined(body);
-    else if (others.length) { rounding = error(others[0]); edges = joined(others.shift()); }
-    else fail("it was cut off behind its outline: which of its corners see one another is not in it");
-    if (others.length !== 1) fail("it was cut off before its lists of corners");
+    if (others.length === 2) { rounding = error(others[0]); edges = joined(others.shift()); }
+    else if (others.length === 1 && (count < 2 || !body.isAtEnd())) edges = joined(body);
+    else fail("it was cut off before its lists of corners");
     const tree = readTree(others[0]);
     if (tree.leaves > Math.max(1, 2 ** 24 / Math.max(1, count))) fail(`it has ${tree.leaves} leaves, more than tables are made of`);
     const lists = readLists(others[0], tree, count, Math.max(2 ** 20, 64 * fileBytes));
@@ -145,16 +144,47 @@ function distancesFrom(source, neighbors) {
 
 // Functions of two points, of what readPairs gives.
 function pairsReader(tables) {
-    {{numbers}}
-    const { tree, root, lists, neighbors, middle, seen, free, less, more } = tables;
+    const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, less, more } = tables;
     const place = new Uint32Array(2), rows = [];
     const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
 
-{{arithmetic}}
+    // Operations round to 32 bits one by one, as those of NumPy do.
+    function placeOf(x, axis) {
+        const share = f(f(x - lo[axis]) * scale[axis]), placed = f((share < top[axis] ? share : top[axis]) + start[axis]);
+        return (placed < 1 ? 1 : placed) * 8388608 << 9;
+    }
+
+    function legLength(px, py, qx, qy) {
+        const dx = f(px - qx), dy = f(py - qy);
+        return f(Math.sqrt(f(f(dx * dx) + f(dy * dy))));
+    }
+
+    function hides({ walls, isCertain }, px, py, qx, qy) {
+        const dx = f(qx - px), dy = f(qy - py), moment = f(f(dx * py) - f(dy * px));
+        let goesIn = false, goesOut = false;
+        for (let w = 0; w < walls.length; w += 7) {
+            const ex = walls[w + 4], ey = walls[w + 5], turn = walls[w + 6];
+            if (!(f(f(f(f(ex * py) - f(ey * px)) - turn) * f(f(f(ex * qy) - f(ey * qx)) - turn)) < 0)) continue;
+            const a = f(f(dx * walls[w + 1]) - f(dy * walls[w])), b = f(f(dx * walls[w + 3]) - f(dy * walls[w + 2]));
+            if (b >= moment && a < moment) goesIn = true;
+            if (a >= moment && b < moment) goesOut = true;
+        }
+        return isCertain ? goesIn || goesOut : goesIn && goesOut;
+    }
+
+    function encloses({ walls }, px, py) {
+        let turns = 0;
+        for (let w = 0; w < walls.length; w += 7) {
+            const ay = walls[w + 1], by = walls[w + 3], beside = f(f(f(walls[w + 4] * py) - f(walls[w + 5] * px)) - walls[w + 6]);
+            if (ay <= py && by > py && beside > 0) turns++;
+            if (by <= py && ay > py && beside < 0) turns--;
+        }
+        return turns === 1;
+    }
 
     function leafOf(px, py) {
-        place[0] = placeX(px);
-        place[1] = placeY(py);
+        place[0] = placeOf(px, 0);
+        place[1] = placeOf(py, 1);
         let code = root;
         for (let axis = code & 3; axis !== 2; axis = code & 3) {
             const upper = place[axis] >>> 31;
@@ -195,7 +225,7 @@ function pairsReader(tables) {
     function counted(x, y) {
         const p = [f(x[0] - middle[0]), f(x[1] - middle[1])], q = [f(y[0] - middle[0]), f(y[1] - middle[1])];
         if ([...p, ...q].some(along => along !== along)) return NaN;
-        if ([p, q].some(point => Math.abs(point[0]) > hi0 || Math.abs(point[1]) > hi1)) return Infinity;
+        if ([p, q].some(point => Math.abs(point[0]) > hi[0] || Math.abs(point[1]) > hi[1])) return Infinity;
         return p[0] > q[0] || (p[0] === q[0] && p[1] > q[1]) ? [q, p, true] : [p, q, false];
     }
 

@@ -1,7 +1,7 @@
 """A query of pairs without JAX, by an arithmetic that other readers keep to as well, bit for bit.
 
 All operations are those of IEEE 754, rounded to nearest, none fused, in 32-bit floats unless 64 are named. What is
-called a *number* is computed once from the file in 64 bits, by the operations of ``tables.py`` and ``outline.py``,
+called a *number* is computed once from the file in 64 bits, by the operations of this module and ``stored.py``,
 and rounded to 32 once.
 
 1.  *Points* are counted from the middle of the domain in 64 bits, and rounded. The answer is NaN where a coordinate
@@ -23,8 +23,11 @@ and rounded to 32 once.
 compilers may fuse its operations.
 """
 
+from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,8 +38,10 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.frame import Frame, frame_of
-from plr_jax.plr.portable.arithmetic import CodedTree, Operations, Point, Value, length, partitioned_axes
+from plr_jax.plr.portable.arithmetic import CodedTree, partitioned_axes
+from plr_jax.plr.portable.javascript import js_file_reader
 from plr_jax.plr.portable.numpy import ARRAYS, LeafTable, as_float_points
+from plr_jax.plr.portable.writers import ends_of
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""
@@ -48,75 +53,82 @@ _AT_ONCE = 2**19  # lines and walls that are held against one another together
 _PAIRS = 2**12  # that are answered together
 
 
-def straight_line_of(do: Operations, p: Point, q: Point) -> Point:
-    """What of lines between points is compared with walls."""
-    dx, dy = (do.let("d", to - along) for along, to in zip(p, q, strict=True))
-    return [dx, dy, do.let("moment", dx * p[1] - dy * p[0])]
-
-
-def crossings(do: Operations, p: Point, q: Point, line: Point, wall: Any) -> tuple[Value, Value]:
-    """Whether lines between points cross walls, going in, and going out; walls are as :func:`walls_with_sides`."""
-    (px, py), (qx, qy), (dx, dy, moment), (ax, ay, bx, by, ex, ey, turn) = p, q, line, wall
-    crosses = do.let("crosses", (ex * py - ey * px - turn) * (ex * qy - ey * qx - turn) < 0)
-    of_a, of_b = do.let("a", dx * ay - dy * ax), do.let("b", dx * by - dy * bx)
+def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
+    """Whether lines between points cross walls going in, and going out; walls as of :func:`walls_with_sides`."""
+    (px, py), (qx, qy), (ax, ay, bx, by, ex, ey, turn) = p, q, wall
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+    crosses = (ex * py - ey * px - turn) * (ex * qy - ey * qx - turn) < 0
+    of_a, of_b = dx * ay - dy * ax, dx * by - dy * bx
     return crosses & (of_b >= moment) & (of_a < moment), crosses & (of_a >= moment) & (of_b < moment)
 
 
-def winding(do: Operations, p: Point, wall: Any) -> tuple[Value, Value]:
-    """Whether walls go up, and down, on the right of points."""
+def winding(p: Any, wall: Any) -> tuple[Any, Any]:
+    """Return whether walls go up, and down, to the right of points."""
     (px, py), (_, ay, _, by, ex, ey, turn) = p, wall
-    beside = do.let("beside", ex * py - ey * px - turn)
+    beside = ex * py - ey * px - turn
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
 
 
-def straight_length(do: Operations, p: Point, q: Point) -> Value:
-    """Lengths of straight ways."""
-    return length(do, [do.let("d", along - to) for along, to in zip(p, q, strict=True)], (0, 1))
-
-
 def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Walls in 32 bits, and of each what tells on which side of it points are."""
+    """Return walls in 32 bits, followed by the numbers that tell on which side of the wall a point is."""
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
     return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
 
 
-def seen_corners(stored: Stored) -> Float[np.ndarray, "corners 2"]:
-    """The corners, those whose walls do not move back a little before them, or what is rounded would hide them."""
-    distance = 1.25 * MARGIN * float(stored.domain.width.max())  # farther than a contact's walls move
-    moved = stored.outline.moved_points(-distance)[stored.corner]
-    return np.where(stored.outline.stays[stored.corner, None], moved, stored.points)
-
-
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What ways are among.
+class Scene:
+    """The walls and corners among which paths are found, counted from the middle of the domain.
 
     Attributes:
-        walls: Walls, counted from the middle of the domain, as :func:`walls_with_sides` has them.
-        corners: Corners likewise, and last one of ``inf``.
-        is_certain: Whether what counts as a way is certainly free.
+        walls: Ends of the walls.
+        corners: The corners, and last one at ``inf``.
+        moved: The largest distance between a corner and its place in the file.
+        is_certain: Whether a path that is found is certainly free.
     """
 
-    walls: Float[np.ndarray, "walls 7"]
+    walls: Float[np.ndarray, "walls 4"]
     corners: Float[np.ndarray, "corners 2"]
+    moved: float
     is_certain: bool
 
+    @staticmethod
+    def of(stored: Stored, is_certain: bool) -> "Scene":
+        """Move the walls of a file into free space if paths must be certainly free, else out of it."""
+        outline, domain = stored.outline, stored.domain
+        width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
+        receding = RECEDING * width
+        if is_certain:
+            corners = outline.moved_points(-2 * receding)[stored.corner]
+        else:
+            # At a contact walls hardly move: its corner moves before the walls, or rounding would hide the corner.
+            before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
+            corners = np.where(outline.stays[stored.corner, None], before, stored.points)
+        walls = outline.moved_walls(-receding if is_certain else receding) - np.tile(middle, 2)
+        moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
+        return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
+
+    @cached_property
+    def sides(self) -> list[Float[np.ndarray, "walls"]]:
+        """The columns of :func:`walls_with_sides`."""
+        return list(walls_with_sides(self.walls).T)
+
     def hides(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether walls are between points."""
+        """Return whether walls are between points."""
         hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
-            a, b = (list(end[first : first + step].T[:, :, None]) for end in (p, q))
-            crossed = crossings(ARRAYS, a, b, straight_line_of(ARRAYS, a, b), list(self.walls.T))
+            some = slice(first, first + step)
+            crossed = crossings(p[some].T[:, :, None], q[some].T[:, :, None], self.sides)
             goes_in, goes_out = (each.any(axis=1) for each in crossed)
-            hidden[first : first + step] = goes_in | goes_out if self.is_certain else goes_in & goes_out
+            hidden[some] = goes_in | goes_out if self.is_certain else goes_in & goes_out
         return hidden
 
     def encloses(self, p: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether points are inside the walls."""
+        """Return whether points are inside the walls."""
         inside, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
-            up, down = winding(ARRAYS, list(p[first : first + step].T[:, :, None]), list(self.walls.T))
+            up, down = winding(p[first : first + step].T[:, :, None], self.sides)
             inside[first : first + step] = up.sum(axis=1) - down.sum(axis=1) == 1
         return inside
 
@@ -130,7 +142,6 @@ class NumpyPairs:
     def __init__(self, stored: Stored) -> None:
         """Of what a file holds."""
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
-        width, half = float(domain.width.max()), domain.width / 2
         self.domain, self._middle = domain, middle
         frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
         self._axes, self._ends = partitioned_axes(frame), frame[Frame.HI]
@@ -139,21 +150,12 @@ class NumpyPairs:
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[runs(lengths)] = stored.listed
-        seen, proud = seen_corners(stored), stored.outline.moved_points(-2 * RECEDING * width)[stored.corner]
-        self._seen, self._free = (
-            Surroundings(
-                walls_with_sides(stored.outline.moved_walls(back * RECEDING * width) - np.tile(middle, 2)),
-                np.append(points - middle, [[np.inf, np.inf]], axis=0).astype(np.float32),
-                back < 0,
-            )
-            for back, points in ((1.0, seen), (-1.0, proud))
-        )
         self._distances = distances_table(stored, corners + 1)
-        aside, farther = (
-            2 * np.linalg.norm(points - stored.points, axis=1).max(initial=0.0) for points in (seen, proud)
+        rounds = _ROUNDINGS * float((domain.width / 2 + np.abs(middle)).max())
+        self._seen, self._free = (Scene.of(stored, is_certain) for is_certain in (False, True))
+        self._less, self._more = (
+            np.float32(stored.rounding + 2 * scene.moved + rounds) for scene in (self._seen, self._free)
         )
-        rounds = _ROUNDINGS * float((half + np.abs(middle)).max())
-        self._less, self._more = (np.float32(stored.rounding + each + rounds) for each in (aside, farther))
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
         """Distance between points.
@@ -218,10 +220,10 @@ class NumpyPairs:
         return np.stack([lower, upper], axis=1)
 
     def _lengths(
-        self, around: Surroundings, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
+        self, around: Scene, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n"]:
         """Lengths of shortest ways among what is around."""
-        lengths = straight_length(ARRAYS, list(p.T), list(q.T))
+        lengths = _length(p - q)
         hidden = np.flatnonzero(around.hides(p, q))
         p, q = p[hidden], q[hidden]
         (of_p, legs_p), (of_q, legs_q) = (self._legs(around, each) for each in (p, q))
@@ -230,8 +232,8 @@ class NumpyPairs:
         while len(open_):  # strike corners off that a point does not see, of the shortest ways first
             i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), of_q.shape[1])
             length = ways[open_, i, j]
-            hidden_p = around.hides(p[open_], around.corners[of_p[open_, i]])
-            hidden_q = around.hides(q[open_], around.corners[of_q[open_, j]])
+            hidden_p = around.hides(p[open_], around.corners[of_p[open_, i]].astype(np.float32))
+            hidden_q = around.hides(q[open_], around.corners[of_q[open_, j]].astype(np.float32))
             ways[open_[hidden_p], i[hidden_p]] = np.inf
             ways[open_[hidden_q], :, j[hidden_q]] = np.inf
             is_done = (length == np.inf) | ~(hidden_p | hidden_q)
@@ -241,10 +243,35 @@ class NumpyPairs:
         return lengths
 
     def _legs(
-        self, around: Surroundings, p: Float[np.ndarray, "n 2"]
+        self, around: Scene, p: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
         """The corners that points' leaves list, and how far they are."""
         places = [axis.place(ARRAYS, axis.above(along)) for axis, along in zip(self._axes, p.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
-        corners = around.corners[listed]
-        return listed, straight_length(ARRAYS, list(p.T[:, :, None]), [corners[..., 0], corners[..., 1]])
+        return listed, _length(p[:, None] - around.corners[listed].astype(np.float32))
+
+
+def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    return np.sqrt(v[..., 0] * v[..., 0] + v[..., 1] * v[..., 1])
+
+
+def js_pairs_reader() -> str:
+    """Return the functions of JavaScript that read files of pairs, and make a reader of a file's contents."""
+    return Path(__file__).with_name("pairs.js").read_text(encoding="utf-8")
+
+
+def js_pairs_module(data: bytes, domain: Box) -> str:
+    """Return the module of a file of pairs: see :meth:`PairPLR.js_module`."""
+    return f"""\
+// The distance between any two points of {ends_of(domain)}, by plr_jax.
+//
+// distance([x, y], [x, y]): Infinity outside this closed domain and where no path leads, NaN where a coordinate is.
+// waypoint(from, to): where to go straight to from a point towards another one; NaN where no way leads.
+// bounds([x, y], [x, y]): proven bounds of the distance between points of free space, [lower, upper].
+// Answers are those of pairs.numpy(), bit for bit.
+
+{js_file_reader()}
+{js_pairs_reader()}
+const file = Uint8Array.from(atob("{b64encode(data).decode()}"), letter => letter.charCodeAt(0));
+export const {{ distance, waypoint, bounds }} = pairsReader(readPairs(readContainer(file), file.length));
+"""

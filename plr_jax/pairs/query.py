@@ -1,74 +1,253 @@
-"""A query of pairs, in JAX.
+"""A query of pairs in JAX: the tables that it reads, and the search for shortest paths.
 
-The distance of two points that see one another is straight; any other way goes by a corner of each one's list. The
-first corner of the way is found best-first: those of the list, each with at most the length that a way by it can
-have, are looked into in that order, and then the way by one is the shortest by the second point's list. A corner that
-a wall hides from its point is struck off the list it is on. So the bounds that are left never exceed the distance.
+The distance of two points that see one another is straight; any other path turns first and last at corners that the
+leaves of its ends list. The first corner is found best-first: the corners of the first point's list are looked into
+in the order of a lower bound of the path length through each. The path through a corner is the shortest one by the
+second point's list, or by the distances that :class:`PreparedGoals` hold. A corner that a wall hides from its point
+is struck off that point's list. So the remaining bounds never exceed the distance.
 
 Legs are tested against the walls near the leaf's box and the corner, which are few; straight lines against all walls.
-Most pairs need one round or two. Each round is of the first pairs that are open: of many together while there are
-many, and then of few.
+Most pairs need one round or two. Each round takes the first pairs that are open: many together while many are open,
+and then few.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
-from plr_jax.pairs.portable import crossings, straight_line_of, winding
-from plr_jax.pairs.tables import PairTables, last_bits_of
-from plr_jax.plr.portable.numpy import ARRAYS
+from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
+from plr_jax.geometry.box import Box
+from plr_jax.pairs.near_walls import NearWalls
+from plr_jax.pairs.portable import MARGIN, Scene, crossings, walls_with_sides, winding
+from plr_jax.pairs.stored import Stored, distances_table
+from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.query import lookup
+from plr_jax.plr.tables import Tables, build_tables
 
-_AT_ONCE = 2**14
+_UNROLLED = 16  # walls at a time
+_LEAVES_AT_ONCE = 32
+_AT_ONCE = 2**14  # pairs of points: as many as caches hold
 _MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then
-_TESTED = 2**10  # pairs that are held against all walls together
-_LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
+_LARGEST = np.finfo(np.float32).max  # the bits of `inf` may not be changed: it would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
+Columns = TypeVar("Columns")
 
-Of, Columns = TypeVar("Of"), TypeVar("Columns")
-Found = TypeVar("Found", bound=Any)  # with `length`, of the shortest found, and `least`: none left is shorter
+
+@dataclass(frozen=True)
+class _NoLeaf:
+    """What the tables of a partition alone ask of a leaf model."""
+
+    least_bytes: float = 1.0
+    has_deep_trees: bool = False
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class PairTables:
+    """All that a query reads. Coordinates count from the middle of the domain.
+
+    Attributes:
+        partition: Finds leaves.
+        walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
+        near: Walls that may hide a corner of a leaf's list; None where they are too many to be worth it.
+        x: First coordinate of the corners of each leaf's list; padding is ``inf``.
+        y: Second coordinate.
+        listed: The corners; padding is one more than the last corner.
+        distances: Distance between each two corners, row by row; ``inf`` for padding.
+        onward: Two numbers in one, about the ways from each corner, by a corner of a leaf's list, to anywhere in the
+            leaf's box: in the last bits the corner of the list by which the shortest goes; in the other bits, as a
+            float, a lower bound of the length of all ways by other corners of the list.
+        corners: The corners; padding is ``inf``.
+        middle: The middle of the domain, in 32 bits, and what they leave of it.
+        half: Half its width, along each axis.
+        proud_walls: Ends of the walls moved into free space instead.
+        proud_corners: The corners moved into it twice as far.
+        rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
+            that of distances by way of the proud corners, which is larger.
+        unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
+        is_certain: Whether what counts as a way is certainly free, see :attr:`in_free_space`.
+    """
+
+    partition: Tables
+    walls: Float[Array, "groups 16 7"]
+    near: NearWalls | None
+    x: Float[Array, "leaves longest"]
+    y: Float[Array, "leaves longest"]
+    listed: UInt16[Array, "leaves longest"]
+    distances: Float[Array, "size size"]
+    onward: UInt32[Array, "leaves size"]
+    corners: Float[Array, "size 2"]
+    middle: Float[Array, "2 2"]
+    half: Float[Array, "2"]
+    proud_walls: Float[Array, "groups 16 7"]
+    proud_corners: Float[Array, "size 2"]
+    rounding: Float[Array, "2"]
+    unresolved: tuple[str, ...] = field(metadata={"static": True})
+    is_certain: bool = field(default=False, metadata={"static": True})
+
+    @property
+    def in_free_space(self) -> "PairTables":
+        """The same, but what counts as a way is certainly free."""
+        x, y = (along[self.listed] for along in self.proud_corners.T)
+        return replace(self, walls=self.proud_walls, near=None, x=x, y=y, is_certain=True)
+
+
+def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
+    """Build the tables of a file's contents; their sizes follow from the number of bytes of the file."""
+    middle = (stored.domain.lo + stored.domain.hi) / 2
+    domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
+    cells, count = stored.cells, len(stored.corner)
+    size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
+    seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
+    # 1. The lists as rows of one length, a multiple of eight.
+    lengths = np.bincount(stored.leaf, minlength=rows)
+    listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
+    listed[runs(lengths)] = stored.listed
+    # 2. How far listed corners are from their leaves' boxes, at least; `inf` for padding.
+    (lo, hi), of_leaf = cells.grown_boxes(domain), seen.corners[listed[: len(cells)]]
+    apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)
+    beside = np.full(listed.shape, np.inf, np.float32)
+    beside[: len(cells)] = np.nextafter(np.hypot(*np.moveaxis(apart, -1, 0)).astype(np.float32), np.float32(0))
+    # 3. Walls near listed corners.
+    margin = MARGIN * float(stored.domain.width.max())
+    near = NearWalls.of((lo, hi), stored.leaf, stored.listed, seen.corners[:-1], seen.walls, margin, listed.shape)
+
+    def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
+        return jnp.asarray(values.astype(np.float32))
+
+    def in_groups(walls: Float[np.ndarray, "n 4"]) -> Float[Array, "groups 16 7"]:
+        groups = size_in_eighths(-(-len(walls) // _UNROLLED))
+        return in_32_bits(padded(walls_with_sides(walls), _UNROLLED * groups).reshape(-1, _UNROLLED, 7))
+
+    distances = jnp.asarray(distances_table(stored, size))
+    x, y = (along[listed] for along in seen.corners.T)
+    return PairTables(
+        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
+        walls=in_groups(seen.walls),
+        near=near,
+        x=in_32_bits(x),
+        y=in_32_bits(y),
+        listed=jnp.asarray(listed),
+        distances=distances,
+        onward=_ways_to_leaves(distances, listed, beside),
+        corners=in_32_bits(padded(seen.corners, size, np.inf)),
+        middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
+        half=in_32_bits(stored.domain.width / 2),
+        proud_walls=in_groups(free.walls),
+        proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
+        rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
+        unresolved=unresolved_types(stored.domain),
+    )
+
+
+@jax.jit
+def _ways_to_leaves(
+    distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
+) -> UInt32[Array, "rows size"]:
+    """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
+    rows, longest = listed.shape
+    size = len(distances)
+    last_bits = _last_bits_of(size)
+
+    def of_leaves(leaves):
+        corners, near = leaves
+
+        def with_corner(column, found):
+            shortest, other, last = found
+            way = near[:, column, None] + distances[corners[:, column]]
+            is_shorter = way < shortest
+            other = jnp.minimum(other, jnp.maximum(way, shortest))
+            return jnp.minimum(way, shortest), other, jnp.where(is_shorter, corners[:, column, None], last)
+
+        shape = len(corners), size
+        none = jnp.full(shape, jnp.inf, jnp.float32)
+        begin = none, none, jnp.full(shape, size - 1, jnp.uint32)
+        count = (near < jnp.inf).sum(axis=1).max()
+        _, other, last = jax.lax.fori_loop(0, count, with_corner, begin)
+        other *= np.float32(1 - 4 * np.finfo(np.float32).eps)  # whose last bits, if it is `inf`, are zeros
+        return jax.lax.bitcast_convert_type(other, jnp.uint32) & ~last_bits | last
+
+    step = np.gcd(rows, _LEAVES_AT_ONCE)
+    parts = (each.reshape(-1, step, longest) for each in (listed.astype(jnp.uint32), beside))
+    return jax.lax.map(of_leaves, tuple(parts)).reshape(rows, size)
+
+
+def _last_bits_of(size: int) -> np.uint32:
+    """Return the bits of a number that tell so many corners apart."""
+    return np.uint32(padded_size(size) - 1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class PreparedGoals:
+    """Goals of a PairPLR, made by :meth:`PairPLR.prepared`: a pytree of arrays that may be batched and sliced.
+
+    Attributes:
+        points: The goals, counted from the middle of the domain, in 32 bits.
+        to_corners: The distance of each goal to each corner; ``inf`` where no path joins them.
+    """
+
+    points: Float[Array, "*batch 2"]
+    to_corners: Float[Array, "*batch size"]
+
+
+def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+    """Return the length of the shortest path from points to each corner, straight or by the corners listed."""
+    leaf = lookup(tables.partition, points)
+    legs_of_points = _legs(tables, leaf, points)
+
+    def by_corner(column: Array, found: Float[Array, "n size"]) -> Float[Array, "n size"]:
+        place = jnp.full(leaf.shape, column, jnp.uint32)
+        hidden = _is_leg_hidden(tables, leaf, place, points, _corner_of(tables, leaf, place))
+        leg = jnp.where(hidden, jnp.inf, legs_of_points[:, column])
+        return jnp.minimum(found, leg[:, None] + tables.distances[tables.listed[leaf, place]])
+
+    none = jnp.full((points.shape[0], len(tables.distances)), jnp.inf, jnp.float32)
+    return jax.lax.fori_loop(0, tables.x.shape[1], by_corner, none)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class _Pairs:
     """Pairs of points.
 
     Attributes:
         x: First points.
         y: Second points.
         leaf_x: The leaves of the first points.
-        leaf_y: Those of the second ones.
-        at_least: At most the length of the way by each corner of the first point's list.
+        leaf_y: The leaves of the second points; None if they are prepared goals.
+        at_least: A lower bound of the path length through each corner of the first point's list; the length if the
+            second point is a prepared goal and the first point sees the corner.
     """
 
     x: Float[Array, "n 2"]
     y: Float[Array, "n 2"]
     leaf_x: UInt32[Array, "n"]
-    leaf_y: UInt32[Array, "n"]
+    leaf_y: UInt32[Array, "n"] | None
     at_least: Float[Array, "n longest"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Search:
-    """The search of shortest ways between pairs of points.
+class _Search:
+    """The search for shortest paths between pairs of points.
 
     Attributes:
-        length: Length of the shortest way found; ``inf`` if none is.
-        via_x: The place in the first point's list of the corner where it goes first.
-        via_y: And that in the second point's list, where it goes last; of a straight way both are behind all places.
-        least: No way that is left is shorter.
+        length: Length of the shortest path found; ``inf`` if none is.
+        via_x: The place in the first point's list of the corner where it turns first.
+        via_y: The place in the second point's list of the corner where it turns last. Of a straight path both are
+            behind all places.
+        least: No path that is left is shorter.
         done_x: Corners of the first point's list that are done with, a bit each.
-        done_y: Those of the second point's that are struck off.
+        done_y: Corners of the second point's list that are struck off.
     """
 
     length: Float[Array, "n"]
@@ -82,13 +261,13 @@ class Search:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Shortest ways between points.
+    """Shortest paths between points.
 
     Attributes:
-        length: Length of the shortest way found; ``inf`` if there is none.
-        least: No way is shorter.
-        from_x: Where it goes first from the first point; the second one if it is straight, or there is none.
-        from_y: And from the second one.
+        length: Length of the shortest path found; ``inf`` if there is none.
+        least: No path is shorter.
+        from_x: Where the path goes first from the first point; the second point if it is straight, or there is none.
+        from_y: And from the second point; of prepared goals the first point.
     """
 
     length: Float[Array, "n"]
@@ -98,63 +277,93 @@ class Ways:
 
 
 def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    """The shortest ways between points of the domain, counted from its middle; alike either way round."""
+    """Find shortest paths between points of the domain, counted from its middle; alike either way round."""
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
-    ways = part_by_part(partial(_ways, tables), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    ways = _part_by_part(partial(_ways, tables, None), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
     return replace(ways, from_x=from_x, from_y=from_y)
 
 
-def part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
-    """A pytree of what is found of each row of some arrays, of so many rows at a time as caches hold."""
+def ways_to_goals(
+    tables: PairTables,
+    to_corners: Float[Array, "goals size"],
+    x: Float[Array, "n 2"],
+    y: Float[Array, "n 2"],
+    goal: UInt32[Array, "n"],
+) -> Ways:
+    """Find shortest paths from points to prepared goals of some numbers."""
+    return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
+
+
+def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
+    """Find a pytree of columns for the rows of some arrays, for as many rows at a time as caches hold."""
     size = rows[0].shape[0]
     if is_symbolic_dim(size) or size <= _AT_ONCE:
         return ways(*rows)
     parts = -(-size // _AT_ONCE)
-    padded = [jnp.pad(each, ((0, parts * _AT_ONCE - size), *((0, 0),) * (each.ndim - 1))) for each in rows]
-    whole = tuple(each.reshape(parts, _AT_ONCE, *each.shape[1:]) for each in padded)
+    filled = [jnp.pad(each, ((0, parts * _AT_ONCE - size), *((0, 0),) * (each.ndim - 1))) for each in rows]
+    whole = tuple(each.reshape(parts, _AT_ONCE, *each.shape[1:]) for each in filled)
     columns = jax.lax.map(lambda part: ways(*part), whole)
     return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:size], columns)
 
 
-def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
-    at_least = jax.lax.optimization_barrier(_at_least(tables, x, y, leaf_x, leaf_y))
-    # Before the first round pairs that see one another are done.
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, leg_length(x - y))
-    longest = tables.x.shape[1]
+def _ways(
+    tables: PairTables,
+    to_corners: Float[Array, "goals size"] | None,
+    x: Float[Array, "n 2"],
+    y: Float[Array, "n 2"],
+    goal: UInt32[Array, "n"] | None = None,
+) -> Ways:
+    leaf_x, leaf_y, size = lookup(tables.partition, x), None, len(tables.distances)
+    listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
+    # 1. A lower bound of the path length through each corner of the first point's list.
+    if to_corners is not None and goal is not None:
+        onward = _at(to_corners.ravel(), goal[:, None] * size + listed)
+    else:
+        leaf_y, last_bits = lookup(tables.partition, y), _last_bits_of(size)
+        packed = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
+        last, other = packed & last_bits, jax.lax.bitcast_convert_type(packed & ~last_bits, jnp.float32)
+        dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
+        by_last = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
+        onward = jnp.minimum(by_last, other)
+    at_least = jax.lax.optimization_barrier(_legs(tables, leaf_x, x) + onward)
+    # 2. Before the first round pairs that see one another are done.
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = Search(straight, behind, behind, at_least.min(axis=1), words, words)
-    search = after_all_rounds(partial(_after_round, tables), Pairs(x, y, leaf_x, leaf_y, at_least), search)
+    search = _Search(straight, behind, behind, at_least.min(axis=1), words, words)
+    # 3. Rounds.
+    search = _after_all_rounds(partial(_after_round, tables), _Pairs(x, y, leaf_x, leaf_y, at_least), search)
     is_straight = (search.via_x == longest)[:, None]
-    from_x = jnp.where(is_straight, y, corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
-    from_y = jnp.where(is_straight, x, corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
+    from_x = jnp.where(is_straight, y, _corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
+    from_y = x
+    if leaf_y is not None:
+        from_y = jnp.where(is_straight, x, _corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
     return Ways(search.length, jnp.minimum(search.length, search.least), from_x, from_y)
 
 
-def after_all_rounds(after_round: Callable[[Of, Found], Found], pairs: Of, search: Found) -> Found:
-    """The search after all rounds, each of pairs that are open: of which a shorter way may be left.
+def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
+    """Search in rounds, each of pairs that are open: a shorter path may be left.
 
-    It ends, as each round strikes a corner off a list of each pair that is open.
+    It ends, as each round strikes a corner off a list of each open pair.
     """
     size = search.length.shape[0]
 
-    def is_open(search: Found) -> Bool[Array, "n"]:
+    def is_open(search: _Search) -> Bool[Array, "n"]:
         return search.least < search.length
 
-    def while_open(than: int, after: Callable[[Found], Found], search: Found) -> Found:
+    def while_open(than: int, after: Callable[[_Search], _Search], search: _Search) -> _Search:
         return jax.lax.while_loop(lambda search: is_open(search).sum() > than, after, search)
 
-    def round_of_all(search: Found) -> Found:
+    def round_of_all(search: _Search) -> _Search:
         stays = ~is_open(search)
         after = after_round(pairs, search)
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
-    def round_of_first(count: int, search: Found) -> Found:
+    def round_of_first(count: int, search: _Search) -> _Search:
         number = jnp.cumsum(is_open(search))  # of each open pair, from 1
         lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
-        first = after_round(*jax.tree.map(lambda a: at(a, lanes, "clip"), (pairs, search)))
+        first = after_round(*jax.tree.map(lambda a: _at(a, lanes, "clip"), (pairs, search)))
         return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
 
     if is_symbolic_dim(size) or size <= _FEW:
@@ -164,50 +373,43 @@ def after_all_rounds(after_round: Callable[[Of, Found], Found], pairs: Of, searc
     return while_open(0, partial(round_of_first, _FEW), search)
 
 
-def _at_least(
-    tables: PairTables,
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
-    leaf_x: UInt32[Array, "n"],
-    leaf_y: UInt32[Array, "n"],
-) -> Float[Array, "n longest"]:
-    """At most the length of the way by each corner of the first point's list."""
-    listed = tables.listed[leaf_x].astype(jnp.uint32)
-    size = len(tables.distances)
-    last_bits = last_bits_of(size)
-    onward = at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
-    last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
-    dx, dy = (at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
-    way = at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
-    return legs(tables, leaf_x, x) + jnp.minimum(way, other)
-
-
-def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
-    """The search after a look into the most promising corner of each first point."""
-    x, y, leaf_x, leaf_y = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y
-    first, at_first, second = smallest(pairs.at_least, search.done_x)
+def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
+    """Look into the most promising corner of each first point."""
+    x, leaf_x, leaf_y = pairs.x, pairs.leaf_x, pairs.leaf_y
+    first, at_first, second = _smallest(pairs.at_least, search.done_x)
+    via_x = _corner_of(tables, leaf_x, first)
+    hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
+    if leaf_y is None:
+        better = ~hidden_x & (at_first < search.length)
+        return replace(
+            search,
+            length=jnp.where(better, at_first, search.length),
+            via_x=jnp.where(better, first, search.via_x),
+            least=second,
+            done_x=_with_bit(search.done_x, first, True),
+        )
+    y, listed = pairs.y, tables.listed[leaf_y].astype(jnp.uint32)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
-    listed = tables.listed[leaf_y].astype(jnp.uint32)
-    onward = legs(tables, leaf_y, y) + at(tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed)
-    last, rest, _ = smallest(onward, search.done_y)
-    via_x, via_y = corner_of(tables, leaf_x, first), corner_of(tables, leaf_y, last)
-    hidden_x = is_leg_hidden(tables, leaf_x, first, x, via_x)
-    hidden_y = is_leg_hidden(tables, leaf_y, last, y, via_y)
-    length = jnp.where(hidden_x | hidden_y, jnp.inf, leg_length(x - via_x) + rest)
+    onward = _legs(tables, leaf_y, y) + _at(
+        tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
+    )
+    last, rest, _ = _smallest(onward, search.done_y)
+    hidden_y = _is_leg_hidden(tables, leaf_y, last, y, _corner_of(tables, leaf_y, last))
+    length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
     is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
     better = length < search.length
-    return Search(
+    return _Search(
         length=jnp.where(better, length, search.length),
         via_x=jnp.where(better, first, search.via_x),
         via_y=jnp.where(better, last, search.via_y),
         least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
-        done_x=with_bit(search.done_x, first, is_done),
-        done_y=with_bit(search.done_y, last, hidden_y),
+        done_x=_with_bit(search.done_x, first, is_done),
+        done_y=_with_bit(search.done_y, last, hidden_y),
     )
 
 
-def with_bit(
-    words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool = True
+def _with_bit(
+    words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool
 ) -> UInt32[Array, "n words"]:
     """Words after the bit of a place is set in each, if so."""
     number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
@@ -215,7 +417,7 @@ def with_bit(
     return words | jnp.where(number == (place >> 5)[:, None], bit[:, None], 0)
 
 
-def smallest(
+def _smallest(
     values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
 ) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
     """Where the smallest of each row is, of those not done with, to rounding; it; and the smallest of the others.
@@ -235,30 +437,30 @@ def smallest(
     return place, jnp.take_along_axis(values, place[:, None], axis=1)[:, 0], others.min(axis=1)
 
 
-def legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
     """Lengths of the legs from points to all corners of their leaves' lists."""
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
-def corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+def _corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
     """The corners at some places of leaves' lists."""
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
-def leg_length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
     """Lengths of vectors."""
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
-def at(
+def _at(
     table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
 ) -> Shaped[Array, "..."]:
     """Entries of a table, whose numbers are in it."""
     return table.at[index].get(mode=mode)
 
 
-def is_leg_hidden(
+def _is_leg_hidden(
     tables: PairTables,
     leaf: UInt32[Array, "n"],
     place: UInt32[Array, "n"],
@@ -279,55 +481,17 @@ def is_leg_hidden(
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Whether an obstacle is between points: most pairs that one hides are told by the occluders, others by walls."""
-    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
-    if is_symbolic_dim(size) or size <= _TESTED:
-        return hidden | _is_across_walls(tables, x, y)
-    number = jnp.cumsum(~hidden)  # of each pair that is left, from 1
+    """Return whether an obstacle, whose walls have moved back a little, is between points.
 
-    def of_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        lanes = jnp.searchsorted(number, done * _TESTED + 1 + jnp.arange(_TESTED))  # behind the last where fewer are
-        across = _is_across_walls(tables, *(at(p, lanes, "clip") for p in (x, y)))
-        return hidden.at[lanes].set(across, mode="drop", unique_indices=True)
-
-    return jax.lax.fori_loop(0, -(-number[-1] // _TESTED), of_next, hidden)
-
-
-def is_across_occluder(
-    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
-) -> Bool[Array, "n"]:
-    """Whether lines between points cross an occluder for certain, whatever is rounded.
-
-    An end that is on the line's other side but for rounding is behind none of two points that are clear of its line.
+    A line through an obstacle goes in across a wall and out across another. A line goes in alone, or out alone, from
+    a point that rounding puts into a wall, or that is in two parts of free space at once where thin walls have moved
+    past one another: such a point sees both sides. Where paths must be certainly free, such a line is hidden.
     """
-    (px, py), (qx, qy) = x.T, y.T
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
-
-    def meets(hidden, group):
-        for ax, ay, bx, by, nx, ny, offset in group:
-            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
-            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
-        return hidden, None
-
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]
-
-
-def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Whether an obstacle, whose walls have moved back a little, is between points.
-
-    A line through one goes in across a wall and out across another. Across one way alone goes the line from a point
-    that rounding puts into a wall, or that is in two parts of free space at once where thin walls have moved past one
-    another: such a point sees what is on both sides. Nothing but free space is certain where that must not be.
-    """
-    p, q = list(x.T), list(y.T)
-    straight = straight_line_of(ARRAYS, p, q)
 
     def meets(crossed, walls):
         goes_in, goes_out = crossed
         for wall in walls:
-            inward, outward = crossings(ARRAYS, p, q, straight, wall)
+            inward, outward = crossings(x.T, y.T, wall)
             goes_in, goes_out = goes_in | inward, goes_out | outward
         return (goes_in, goes_out), None
 
@@ -337,12 +501,11 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Whether points are in what the walls enclose: walls that have changed sides wind around them the other way."""
-    p = list(x.T)
+    """Return whether points are inside the walls: walls that have changed sides wind around the other way."""
 
     def winds(turns, walls):
         for wall in walls:
-            up, down = winding(ARRAYS, p, wall)
+            up, down = winding(x.T, wall)
             turns += up.astype(int) - down.astype(int)
         return turns, None
 

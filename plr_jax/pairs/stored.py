@@ -1,32 +1,25 @@
-"""What the file of a PairPLR holds, and its layout.
+"""The file of a PairPLR: what it holds of a workspace, and its layout.
 
-It is a PLR file (see ``plr/container.py``) of three layers, whose leaf model has the code 7. The first one is
-all that one goal needs:
+It is a PLR file (see ``plr/container.py``) whose leaf model has the code 7, of two layers. The first one holds:
 
     the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
-    the outline of free space (see ``outline.py``)
+    the outline of free space: the lattice's step, whether paths may squeeze, the sizes of the rings, and the points
     which of its points are corners, a set
-
-Where a file was cut off behind it, corners are joined as they are in the outline's free space (see
-:func:`derived_edges`); the error is that of distances which follow from this. The second one saves finding that out,
-and knows of the true walls what the lattice rounds:
-
-    the largest error of a distance, again, by the pairs that follow
     which pairs of corners are joined, a set of the pairs in order of the later corner
 
-Where details narrower than the lattice make the outline tell other distances, these pairs stand in the first layer
-instead, behind the corners, and there are two layers; the error is theirs. The last one is what makes queries quick.
-Where it was cut off, there is one leaf, which lists all corners.
+The second one makes queries quick:
 
     the tree over the leaves
     the corners that are listed: for the root those that it leaves out of all, a set; then for the halves of the split
       nodes of each level, those that they leave out of their parent's, a set a level
+
+Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between the two, behind the error again.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,58 +28,178 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.outline import Outline, read_outline
+from plr_jax.geometry.vectors import left_normal
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
-from plr_jax.plr.container import PAIRS_CODE, Container, Layer
-from plr_jax.plr.partition.cells import Cells, Level, Tree, levels_of, tree_of_levels
+from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
+from plr_jax.plr.partition.cells import Cells, Level, Tree, tree_of_levels
 
 if TYPE_CHECKING:
-    from plr_jax.geometry.corners import CornerVisibility
-    from plr_jax.geometry.workspace import Workspace
+    pass
 
 
-# Which corners are joined, and the distances between corners over them.
-#
-# Joined are corners between which a shortest path may go straight: they see one another, and the line is tangent to
-# the obstacles at both. This follows from free space, so an outline tells it of itself, but for what its lattice
-# rounds.
+_MITRE = 4.0  # times as far as a wall recedes does a tip at the most
+_OF_CONTACTS = 1 / 16  # times as far do contacts move back
+_SHARP = -0.5  # cosine of the turn at an end of an obstacle, at the most
+_COUNT_BITS = 32
+_WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
 
 
-_AT_ONCE = 2**21  # distances
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Rings of points with integer coordinates.
 
-
-def taut_edges(visibility: "CornerVisibility") -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that see one another and whose line is tangent at both: what shortest paths are made of."""
-    corners, (i, j) = visibility.corners, visibility.edges.T
-    return visibility.edges[corners.is_tangent(i, j) & corners.is_tangent(j, i)]
-
-
-def derived_edges(
-    workspace: "Workspace", outline: Outline, corner: Int[np.ndarray, "corners"]
-) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that are joined in the workspace of an outline, the earlier one first.
-
-    Args:
-        workspace: What the outline bounds.
-        outline: The outline.
-        corner: Which of its points are corners.
-
-    Returns:
-        The pairs, in order of the later corner. Corners that the lattice has made to stick out no longer are in none.
+    Attributes:
+        origin: Where both coordinates are 0.
+        step: Width of the lattice.
+        points: Points of all rings, ring by ring, in steps from the origin.
+        first: First point of each ring, and the number of points.
+        may_squeeze: Whether a path may pass between walls that touch in one point.
     """
-    from plr_jax.geometry.corners import corner_visibility  # which a query of a whole file does not need
 
-    visibility = corner_visibility(workspace)
-    number = {tuple(point): i for i, point in enumerate(outline.points[corner].tolist())}
-    lattice = np.rint((visibility.corners.points - outline.origin) / outline.step).astype(np.int64)
-    found = np.array([number.get(tuple(point), -1) for point in lattice.tolist()], np.int64)
-    edges = found[taut_edges(visibility)]
-    return in_order(edges[(edges >= 0).all(axis=1) & (edges[:, 0] != edges[:, 1])])
+    origin: Float[np.ndarray, "2"]
+    step: float
+    points: Int[np.ndarray, "points 2"]
+    first: Int[np.ndarray, "rings_plus_one"]
+    may_squeeze: bool
+
+    @cached_property
+    def positions(self) -> Float[np.ndarray, "points 2"]:
+        """Where the points are."""
+        return self.origin + self.step * self.points
+
+    @cached_property
+    def _following(self) -> Int[np.ndarray, "points"]:
+        """The next point of each point's ring."""
+        following = np.arange(1, len(self.points) + 1)
+        following[self.first[1:] - 1] = self.first[:-1]
+        return following
+
+    @cached_property
+    def _is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Points at which free space touches itself."""
+        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
+        return count[index] > 1
+
+    @cached_property
+    def stays(self) -> Bool[np.ndarray, "points"]:
+        """Points that hardly move when walls move back: contacts that no path may squeeze through."""
+        return self._is_contact & (not self.may_squeeze)
+
+    @cached_property
+    def is_reflex(self) -> Bool[np.ndarray, "points"]:
+        """Points that stand out into the free space on their side."""
+        before, after = (
+            self.points - self.points[np.argsort(self._following)],
+            self.points[self._following] - self.points,
+        )
+        return before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]
+
+    def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are in free space."""
+        import shapely  # which to load a file does not need
+
+        shapely.prepare(self.region)
+        return shapely.intersects_xy(self.region, *x.T)
+
+    @cached_property
+    def region(self) -> Any:
+        """Free space: of the faces between the walls those from which a ray crosses an odd number of walls.
+
+        Rings may touch one another and themselves, so they are no polygons. Raises ``ValueError`` if they cross more
+        often than details narrower than the lattice make them.
+        """
+        import shapely
+
+        ends = self.moved_walls(0.0).reshape(-1, 2, 2)
+        _require_few_crossings(ends)
+        walls: Any = shapely.union_all(shapely.linestrings(ends))
+        faces: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
+        px, py = shapely.get_coordinates(shapely.point_on_surface(faces)).T[:, :, None]
+        (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            is_left = (ay > py) != (by > py)
+            is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
+        return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
+
+    def moved_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
+        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative."""
+        moved = self.moved_points(distance)
+        return np.concatenate([moved, moved[self._following]], axis=1)
+
+    def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
+        """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
+
+        Walls point as they do between the vertices. One that the lattice has made a point does no harm but at a sharp
+        end, where those beside it point against one another.
+        """
+        moved, following = self.moved_points(distance), self._following
+        walls, moved_walls = vertices[following] - vertices, moved[following] - moved
+        is_turned = (walls * moved_walls).sum(axis=1) < 0
+        is_point = (self.points[following] == self.points).all(axis=1)
+        before, after = walls[np.argsort(following)], walls[following]
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        return bool((is_turned & (~is_point | ((before * after).sum(axis=1) < _SHARP * lengths))).any())
+
+    def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
+        """The points after all walls have moved so far back, out of free space, or into it if negative.
+
+        Points at which free space touches itself move a sixteenth as far back if no path may squeeze through: what
+        is beside them is then on both sides. A wall that the lattice has made a point moves with those beside it.
+        """
+        following, points = self._following, self.positions
+        onward = points[following] - points
+        has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
+        normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
+        before = np.empty_like(normal)
+        before[following] = normal
+        mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
+        length = np.linalg.norm(mitre, axis=1, keepdims=True)
+        mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+        if distance > 0:
+            mitre[self.stays] *= _OF_CONTACTS
+        return points - distance * mitre
+
+    def write(self, body: BitWriter) -> None:
+        """Append the outline to a file's body."""
+        body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
+        body.write(np.array([self.may_squeeze], np.int64), 1)
+        sizes = np.diff(self.first)
+        body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
+        for along in self.points.T:
+            body.write_signed(np.diff(along, prepend=0))
 
 
-def in_order(edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Pairs, each once, the earlier corner first, in order of the later one."""
-    return np.unique(np.sort(edges, axis=1)[:, ::-1], axis=0)[:, ::-1]
+def _require_few_crossings(ends: Float[np.ndarray, "walls 2 2"]) -> None:
+    """Raise ``ValueError`` where walls meet beside their ends more often than there are walls."""
+    import shapely
+
+    walls: Any = shapely.linestrings(ends)
+    tree: Any = shapely.STRtree(walls)
+    of_ends: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
+    for each, predicate, most in ((walls, "crosses", 2 * len(walls)), (of_ends, "intersects", 3 * len(walls))):
+        meetings = 0
+        for begin in range(0, len(each), _WALLS_AT_ONCE):
+            meetings += tree.query(each[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
+            if meetings > most:
+                raise ValueError(f"the {len(walls):,} walls of its outline cross one another too often")
+
+
+def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
+    """The outline that comes next; raises ``ValueError`` if it is none."""
+    step = np.frombuffer(body.read_alike(2, 32).astype("<u4").tobytes(), "<f8")[0]
+    if not (np.isfinite(step) and step > 0):
+        raise ValueError(f"its points are {step} apart")
+    may_squeeze = bool(body.read_alike(1, 1)[0])
+    num_rings = int(body.read_alike(1, _COUNT_BITS)[0])
+    sizes = body.read_coded(num_rings)
+    if not num_rings or sizes.min() < 3:
+        raise ValueError("it has no ring of points, or one of fewer than three")
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    points = np.stack([np.cumsum(body.read_signed(int(first[-1]))) for _ in range(2)], axis=1)
+    return Outline(origin, float(step), points, first, may_squeeze)
+
+
+_DISTANCES_AT_ONCE = 2**21  # distances
 
 
 def distances_by_rows(
@@ -96,7 +209,7 @@ def distances_by_rows(
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
-    step = max(1, _AT_ONCE // max(1, len(points)))
+    step = max(1, _DISTANCES_AT_ONCE // max(1, len(points)))
     for begin in range(0, len(points), step):
         rows = np.arange(begin, min(begin + step, len(points)))
         yield begin, dijkstra(graph, directed=False, indices=rows)
@@ -108,21 +221,6 @@ def distances_table(stored: "Stored", size: int) -> Float[np.ndarray, "size size
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
     return table
-
-
-def largest_difference(
-    points: Float[np.ndarray, "n 2"],
-    edges: Int[np.ndarray, "edges 2"],
-    others: Float[np.ndarray, "n 2"],
-    other_edges: Int[np.ndarray, "others 2"],
-) -> float:
-    """How far the distances between points are from those between others; ``inf`` if one path has no other."""
-    largest = 0.0
-    both = zip(distances_by_rows(points, edges), distances_by_rows(others, other_edges), strict=True)
-    for (_, one), (_, other) in both:
-        with np.errstate(invalid="ignore"):
-            largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
-    return largest
 
 
 MOST_CORNERS = 2**13
@@ -140,24 +238,22 @@ class Stored:
         domain: The box.
         outline: Free space.
         corner: Points of the outline that are corners, ascending.
-        joined: Pairs of corners that a shortest path may join straight, the earlier one first, if the file says it.
+        edges: Pairs of corners that a shortest path may join straight, the earlier one first.
         levels: The tree over the leaves.
         leaf: The leaf of each entry of a list, in the order of the tree's traversal.
         listed: Its corner; ascending in a leaf.
         rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
-        rounding_of_outline: The same where the joined pairs are those of the outline's free space; None if that
-            tells other distances.
+        label: Text that the file says of itself.
     """
 
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, "corners"]
-    joined: Int[np.ndarray, "edges 2"] | None
+    edges: Int[np.ndarray, "edges 2"]
     levels: list[Level]
     leaf: Int[np.ndarray, "entries"]
     listed: Int[np.ndarray, "entries"]
     rounding: float
-    rounding_of_outline: float | None
     label: str = ""
 
     @cached_property
@@ -175,72 +271,69 @@ class Stored:
         """Where the corners are."""
         return self.outline.positions[self.corner]
 
-    @cached_property
-    def edges(self) -> Int[np.ndarray, "edges 2"]:
-        """Pairs of corners that a shortest path may join straight, the earlier one first."""
-        return derived_edges(self.workspace, self.outline, self.corner) if self.joined is None else self.joined
-
-    @property
-    def workspace(self) -> "Workspace":
-        """The workspace whose free space the outline bounds, with corners on the outline's lattice.
-
-        Raises ``ValueError`` if the outline is none of a workspace, which is not found out before it is asked for.
-        """
-        import shapely  # which to load a file does not need
-
-        from plr_jax.geometry.workspace import Workspace
-
-        try:
-            return Workspace.from_polygons([self.outline.region], self.domain, squeeze=self.outline.may_squeeze)
-        except (ValueError, shapely.errors.ShapelyError) as error:
-            raise ValueError(f"its outline bounds no workspace: {error}") from error
-
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
-        first, pairs, lists = BitWriter(), BitWriter(), BitWriter()
-        first.write_floats(
-            np.array([self.rounding if self.rounding_of_outline is None else self.rounding_of_outline])
-        )
+        first, lists, count = BitWriter(), BitWriter(), len(self.corner)
+        first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
-        is_corner = np.zeros(len(self.outline.points), bool)
+        is_corner, is_joined = np.zeros(len(self.outline.points), bool), np.zeros(count * (count - 1) // 2, bool)
         is_corner[self.corner] = True
+        i, j = self.edges.T
+        is_joined[j * (j - 1) // 2 + i] = True
         first.write_set(is_corner)
-        if self.rounding_of_outline is None:
-            _write_pairs(first, self.edges, len(self.corner))
-        else:
-            _write_pairs(pairs.write_floats(np.array([self.rounding])), self.edges, len(self.corner))
+        first.write_set(is_joined)
         write_tree(lists, self.levels, 2)
-        _write_lists(lists, self.tree, self.leaf, self.listed, len(self.corner))
-        bodies = [first, lists] if self.rounding_of_outline is None else [first, pairs, lists]
-        layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in bodies)
+        _write_lists(lists, self.tree, self.leaf, self.listed, count)
+        layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in (first, lists))
         return Container(self.domain, layers, label=self.label).to_bytes()
 
     @staticmethod
     def from_bytes(data: bytes) -> "Stored":
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
         container = Container.from_bytes(data)
-        _require_pairs(container)
-        body, *others = (BitReader(layer.body) for layer in container.layers)
-        rounding, joined, rounding_of_outline = _read_rounding(body), None, None
-        outline = read_outline(body, container.domain.lo)
+        domain = container.domain
+        if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
+            raise ValueError("it holds the distance to one goal; use load")
+        if any(layer.proof_code for layer in container.layers) or container.folding is not None:
+            raise ValueError("its pairs have proofs or folded points")
+        if domain.dim != 2 or domain.is_periodic:
+            raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
+        if not domain.width.max() <= WIDEST:
+            raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
+        stated = 1 + len(Header.read(data).marks)
+        if stated == 1 or len(container.layers) < stated:
+            raise ValueError("it was cut off before its lists of corners: take the whole file")
+        if stated > 3:
+            raise ValueError(f"its pairs have {stated} layers, more than 3")
+        body, *others, lists = (BitReader(layer.body) for layer in container.layers)
+        # 1. The outline, and which of its points are corners.
+        rounding = _read_rounding(body)
+        outline = read_outline(body, domain.lo)
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it has {count} corners; at most {MOST_CORNERS} are read")
-        if not body.at_end():
-            joined = _read_pairs(body, count)
-        else:
-            rounding_of_outline = rounding
-            if others:
-                body = others.pop(0)
-                rounding, joined = _read_rounding(body), _read_pairs(body, count)
+        # 2. Pairs of corners, of which the file tells the numbers.
+        if others:
+            if not body.at_end():
+                raise ValueError("it holds more data than its outline needs")
+            (body,) = others
+            rounding = _read_rounding(body)
+        number = body.read_members(count * (count - 1) // 2)
+        j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
+        j -= j * (j - 1) // 2 > number
+        j += j * (j + 1) // 2 <= number
+        edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
-        if len(others) > 1:
-            raise ValueError(f"its pairs have {len(others)} layers of lists")
-        leaves = levels_of(Cells.root(2))[0], np.zeros(count, np.int64), np.arange(count)
-        if others:
-            leaves = _read_leaves(others[0], count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
-        return Stored(container.domain, outline, corner, joined, *leaves, rounding, rounding_of_outline)
+        # 3. The tree and the leaves' lists.
+        levels = read_tree(lists, 2)
+        if (leaves := 1 + sum(len(level.axis) for level in levels)) > most_leaves(count):
+            raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
+        most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
+        leaf, listed = _read_lists(lists, tree_of_levels(levels, 2), count, most)
+        if not lists.at_end():
+            raise ValueError("it holds more data than its leaves need")
+        return Stored(domain, outline, corner, edges, levels, leaf, listed, rounding, container.label)
 
 
 def most_leaves(count: int) -> int:
@@ -248,63 +341,11 @@ def most_leaves(count: int) -> int:
     return max(1, _MOST_NUMBERS // max(1, count))
 
 
-def _require_pairs(container: Container) -> None:
-    """Raise ``ValueError`` where a file is not one of pairs in the plane."""
-    if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
-        raise ValueError("it holds the distance to one goal; use load")
-    if any(layer.proof_code for layer in container.layers) or container.folding is not None:
-        raise ValueError("its pairs have proofs or folded points")
-    domain = container.domain
-    if domain.dim != 2 or domain.is_periodic:
-        raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
-    if not domain.width.max() <= WIDEST:
-        raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
-
-
 def _read_rounding(body: BitReader) -> float:
     rounding = float(body.read_floats(1)[0])
     if not 0 <= rounding < np.inf:
         raise ValueError(f"its distances err by {rounding}")
     return rounding
-
-
-def _write_pairs(body: BitWriter, edges: Int[np.ndarray, "edges 2"], count: int) -> None:
-    """Append pairs of so many corners."""
-    is_joined = np.zeros(count * (count - 1) // 2, bool)
-    is_joined[_number_of_pair(edges)] = True
-    body.write_set(is_joined)
-
-
-def _read_pairs(body: BitReader, count: int) -> Int[np.ndarray, "edges 2"]:
-    """The pairs of so many corners that come next, in order of the later one."""
-    return _pair_of_number(body.read_members(count * (count - 1) // 2))
-
-
-def _number_of_pair(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, "pairs"]:
-    """Places of pairs ``i < j`` among all of them, in order of ``j``, then ``i``."""
-    i, j = pairs.T
-    return j * (j - 1) // 2 + i
-
-
-def _pair_of_number(number: Int[np.ndarray, "pairs"]) -> Int[np.ndarray, "pairs 2"]:
-    """The pairs at some places."""
-    j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
-    j -= j * (j - 1) // 2 > number
-    j += j * (j + 1) // 2 <= number
-    return np.stack([number - j * (j - 1) // 2, j], axis=1)
-
-
-def _read_leaves(
-    body: BitReader, count: int, most: int
-) -> tuple[list[Level], Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """The tree that comes next and its leaves' lists of some of so many corners."""
-    levels = read_tree(body, 2)
-    if (leaves := 1 + sum(len(level.axis) for level in levels)) > most_leaves(count):
-        raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
-    leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
-    if not body.at_end():
-        raise ValueError("it holds more data than its leaves need")
-    return levels, leaf, listed
 
 
 def listed_by_nodes(tree: Tree, is_listed: Bool[np.ndarray, "leaves corners"]) -> Bool[np.ndarray, "nodes corners"]:

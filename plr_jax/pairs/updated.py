@@ -32,7 +32,6 @@ from plr_jax.pairs.construct import (
     require_bytes,
     without_lists,
 )
-from plr_jax.pairs.pair_plr import MadeOf, PairPLR, pairs_of_stored
 from plr_jax.pairs.stored import Stored, listed_by_nodes, most_leaves
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.partition.cells import Level, Tree, levels_of, tree_of
@@ -46,26 +45,26 @@ Hulls = Float[np.ndarray, "2 4 n"]
 Listed = Bool[np.ndarray, "leaves corners"]
 
 
-def updated_pairs(pairs: PairPLR, workspace: Workspace, before: Workspace, max_bytes: int | None) -> PairPLR:
-    """What :meth:`PairPLR.updated` makes."""
+def updated_pairs(
+    stored: Stored, workspace: Workspace, before: Workspace, max_bytes: int | None
+) -> tuple[Stored, bytes]:
+    """Return the contents and the bytes of the file that :meth:`PairPLR.updated` makes."""
     limits = limits_of(workspace, max_bytes)
     if not isinstance(before, Workspace):
         raise ValueError(f"before must be the Workspace that the pairs are of, got {shortened(before)}.")
-    if workspace.bounds != pairs.domain:
-        raise ValueError(f"The bounds must stay those of the pairs, {pairs.domain}, got {workspace.bounds}.")
+    if workspace.bounds != stored.domain:
+        raise ValueError(f"The bounds must stay those of the pairs, {stored.domain}, got {workspace.bounds}.")
     visibility, unlisted, rank = without_lists(workspace)
-    unlisted = replace(unlisted, label=pairs.label)
-    number = _numbers_now(pairs.stored, before, visibility.corners)
-    update, tree = _Update(workspace, visibility, limits), pairs.stored.tree
-    is_listed, is_doubtful = update.relisted(pairs.stored, number, _changed_boxes(before, workspace))
+    unlisted = replace(unlisted, label=stored.label)
+    number = _numbers_now(stored, before, visibility.corners)
+    update, tree = _Update(workspace, visibility, limits), stored.tree
+    is_listed, is_doubtful = update.relisted(stored, number, _changed_boxes(before, workspace))
     is_other = (before.tolerance, before.squeeze) != (workspace.tolerance, workspace.squeeze)
     if is_other or is_doubtful.mean() > _MOST_CHANGED:
-        made = grown(workspace, limits, visibility, unlisted, rank)
-    else:
-        if is_doubtful.any():
-            tree, is_listed = update.refined(tree, is_listed, is_doubtful)
-        made = _fitted(unlisted, tree, is_listed[:, np.argsort(rank)], limits)
-    return pairs_of_stored(*made, MadeOf(workspace, max_bytes))
+        return grown(workspace, limits, visibility, unlisted, rank)
+    if is_doubtful.any():
+        tree, is_listed = update.refined(tree, is_listed, is_doubtful)
+    return _fitted(unlisted, tree, is_listed[:, np.argsort(rank)], limits)
 
 
 def _numbers_now(stored: Stored, before: Workspace, corners: ReflexCorners) -> Int[np.ndarray, "corners"]:

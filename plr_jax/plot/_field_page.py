@@ -11,7 +11,7 @@ from plr_jax._arrays import shortened
 from plr_jax._files import write_atomically
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
-from plr_jax.pairs.module import js_pairs_reader, require_lists
+from plr_jax.pairs.portable import js_pairs_reader
 from plr_jax.plot._html import PLAY, document, framed, obstacles_path, packed_script, part
 from plr_jax.plr import PLR, NumpyPLR
 from plr_jax.plr.container import Container
@@ -72,7 +72,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
         The page, to be saved or shown in a notebook.
 
     Raises:
-        ValueError: If it is none of those, not in the plane, or pairs whose file was cut off.
+        ValueError: If it is none of those, or not in the plane.
     """
     held = plr_or_pairs
     if not isinstance(held, PLR | PairPLR):
@@ -88,8 +88,6 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, held.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
-    if isinstance(held, PairPLR):
-        require_lists(data)
     if isinstance(held, PairPLR) or _is_read_there(data):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:

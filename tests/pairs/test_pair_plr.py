@@ -13,8 +13,8 @@ from pair_helpers import MAZE, exact, serpentine, stored_ring, two_batches
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.container import Header
-from plr_jax.plr.partition.cells import levels_of
+from plr_jax.pairs.stored import Stored
+from plr_jax.plr.partition.cells import Cells, levels_of
 
 INSIDE = np.array([0.1, 0.1])
 
@@ -119,32 +119,17 @@ def test_to_load_a_file_takes_what_its_bytes_do():
     """Also where few bytes are of many corners, of which tables take hundreds of megabytes."""
     data = serpentine(8192).to_bytes()
     pairs_from_bytes(serpentine(64).to_bytes())  # what is loaded but once is there
-    for size in (*Header.read(data).marks, len(data)):
-        tracemalloc.start()
-        pairs = pairs_from_bytes(data[:size])
-        grown = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert grown < 500 * size < 2**23 and "tables" not in vars(pairs)
-        assert pairs.num_corners == 8192
+    tracemalloc.start()
+    pairs = pairs_from_bytes(data)
+    grown = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert grown < 500 * len(data) < 2**23 and pairs.num_corners == 8192
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (
-            np.random.default_rng(0).integers(0, 1000, (300, 2)),
-            "300 walls of its outline cross one another too often",
-        ),
-        (np.stack([np.arange(60) % 7, np.zeros(60, int)], axis=1), "too often|bounds no workspace"),
-        (np.array([(2000, 0), (3000, 0), (2000, 1000)]), "bounds no workspace"),
-    ],
-)
-def test_an_outline_of_nothing_is_found_out_when_it_is_asked(points, message):
-    data = stored_ring(points, (1000, 1000)).to_bytes()
-    first, second = Header.read(data).marks
-    assert pairs_from_bytes(data[:second]).tables.walls.size
-    with pytest.raises(ValueError, match=f"The file cannot be asked: .*({message})"):
-        pairs_from_bytes(data[:first])(np.ones(2), np.ones(2))
+def test_an_outline_of_nothing_is_found_out_when_its_region_is_needed():
+    points = np.random.default_rng(0).integers(0, 1000, (300, 2))
+    with pytest.raises(ValueError, match="300 walls of its outline cross one another too often"):
+        stored_ring(points, (1000, 1000)).outline.contains(np.ones((1, 2)))
 
 
 def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compiled_functions(maze):
@@ -189,10 +174,12 @@ def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
 
 
 def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_they_are_alike(maze):
-    """As is the one leaf of a file that was cut off before its lists."""
-    cut = pairs_from_bytes(maze.to_bytes()[: maze.file_marks[-1]])
+    stored, count = maze.stored, maze.num_corners
+    one_leaf = levels_of(Cells.root(2))[0], np.zeros(count, int), np.arange(count)
+    single = Stored(stored.domain, stored.outline, stored.corner, stored.edges, *one_leaf, stored.rounding)
+    coarse = pairs_from_bytes(single.to_bytes())
     goal, x = MAZE.sample_free(1, seed=8)[0], MAZE.sample_free(4000, seed=3)
-    assert cut.num_leaves == 1 and np.abs(np.asarray(cut.to(goal)(x)) - maze(x, goal)).mean() < 1e-4
+    assert coarse.num_leaves == 1 and np.abs(np.asarray(coarse.to(goal)(x)) - maze(x, goal)).mean() < 1e-4
     assert maze.to(goal).num_leaves < maze.num_leaves
 
 

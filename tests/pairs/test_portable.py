@@ -9,8 +9,6 @@ from pair_helpers import MAZE, WALL, exact, two_batches
 
 from experiments._js_modules import NodeModule
 from plr_jax import Workspace, construct_pairs
-from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.container import Header
 
 _OF_ROWS = """
 export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));
@@ -89,11 +87,9 @@ def test_a_module_answers_alike_to_the_bit(pairs, tmp_path):
 
 def test_what_it_refuses():
     pairs = construct_pairs(WALL, max_bytes=600)
-    f, data = pairs.numpy(), pairs.to_bytes()
+    f = pairs.numpy()
     for bad in ([1, 2, 3], 5.0, ["a", "b"]):
         with pytest.raises(ValueError, match="Points must"):
             f(bad, [1, 2])
     with pytest.raises(ValueError, match="must broadcast"):
         f(np.zeros((2, 2)), np.zeros((3, 2)))
-    with pytest.raises(ValueError, match="cut off before its lists"):
-        pairs_from_bytes(data[: Header.read(data).marks[0]]).js_module()

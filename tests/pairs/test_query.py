@@ -8,7 +8,6 @@ from pair_helpers import check_exact_and_bounded, exact, joined, two_batches
 from piece_helpers import TEN, box, fan_workspace, general_workspace, lattice_workspace
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs, scenes
-from plr_jax.pairs.pair_plr import pairs_from_bytes
 
 ROOMS = [
     *(kind(np.random.default_rng(seed)) for kind in (general_workspace, lattice_workspace) for seed in range(4)),
@@ -17,14 +16,12 @@ ROOMS = [
 
 
 @pytest.mark.parametrize("squeeze", [False, True])
-def test_any_workspace_is_exact_and_bounded_from_every_prefix_of_its_file(squeeze):
+def test_any_workspace_is_exact_and_bounded(squeeze):
     workspace, x, y = joined(ROOMS, squeeze=squeeze)
     x, y = np.append(x, x[:20], axis=0), np.append(y, y[-20:], axis=0)  # of rooms that are apart
     pairs = construct_pairs(workspace, max_bytes=16_384)
-    assert len(pairs.file_marks) == 2
-    for each in (pairs, *(pairs_from_bytes(pairs.to_bytes()[:mark]) for mark in pairs.file_marks)):
-        reached = check_exact_and_bounded(each, workspace, x, y)
-        assert squeeze or reached > 0.9  # between walls that touch nothing is certainly free
+    reached = check_exact_and_bounded(pairs, workspace, x, y)
+    assert squeeze or reached > 0.9  # between walls that touch nothing is certainly free
 
 
 def flat_arc(height):
@@ -38,16 +35,9 @@ def narrow_gap(width):
     return Workspace(TEN, [lower, np.add(upper, (1 / 3, 0))])
 
 
-def test_of_details_that_the_outline_does_not_tell_the_first_part_says_which_corners_are_joined():
-    rooms = [flat_arc(1e-8), flat_arc(1e-7), narrow_gap(1e-8), narrow_gap(1e-7)]
-    whole, x, y = joined(rooms)
-    for workspace in (*rooms, whole):
-        pairs = construct_pairs(workspace, max_bytes=2048)
-        (mark,) = pairs.file_marks
-        cut = pairs_from_bytes(pairs.to_bytes()[:mark])
-        assert pairs.stored.rounding_of_outline is None and cut.stored.rounding == pairs.stored.rounding
-        np.testing.assert_array_equal(cut.stored.joined, pairs.stored.joined)
-    check_exact_and_bounded(cut, whole, x, y)
+def test_details_that_the_lattice_does_not_tell_are_bounded():
+    whole, x, y = joined([flat_arc(1e-8), flat_arc(1e-7), narrow_gap(1e-8), narrow_gap(1e-7)])
+    check_exact_and_bounded(construct_pairs(whole, max_bytes=2048), whole, x, y)
 
 
 def test_points_beside_walls_see_nothing_behind_contacts():

@@ -1,18 +1,67 @@
-"""What a file of pairs holds: pairs of corners, distances and lists, read as they were written; nothing else is."""
+"""Files of pairs: outlines, corners, distances and lists are read as they were written; nothing else is read."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from pair_helpers import serpentine, stored_ring
+import shapely
+from pair_helpers import MAZE, serpentine, stored_ring, two_batches
+from piece_helpers import TEN, WORKSPACES, box
 from scipy.sparse.csgraph import floyd_warshall
 
-from plr_jax import Box
-from plr_jax.pairs.stored import Stored, distances_by_rows
-from plr_jax.plr.container import PAIRS_CODE, Container
+from plr_jax import Box, Workspace
+from plr_jax.pairs.construct import outline_of
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.pairs.stored import Stored, distances_by_rows, read_outline
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.container import PAIRS_CODE, Container, Header
 from plr_jax.plr.partition.cells import Cells
 
-FIELDS = ("corner", "joined", "leaf", "listed", "rounding", "rounding_of_outline", "points")
+
+def outline(workspace):
+    width = float(workspace.bounds.width.max())
+    return outline_of(workspace.boundary, workspace.bounds.lo, width, workspace.tolerance, workspace.squeeze)
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+@pytest.mark.parametrize("kind", WORKSPACES)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_outline_is_the_boundary_of_free_space_and_is_read_as_it_was_written(kind, seed, squeeze):
+    workspace = kind(np.random.default_rng(seed), squeeze)
+    found, vertex = outline(workspace)
+    boundary, finest = workspace.boundary, 10 * 2.0**-24
+    np.testing.assert_allclose(found.positions, boundary.vertices[vertex], atol=finest)
+    ends = np.sort(found.moved_walls(0.0).reshape(-1, 2, 2).round(5), axis=0)
+    np.testing.assert_allclose(ends, np.sort(boundary.segments.round(5), axis=0), atol=2e-5)
+    x = np.random.default_rng(seed).uniform(0, 10, (500, 2))
+    clear = shapely.distance(shapely.boundary(workspace.free_space), shapely.points(x)) > 1e-4
+    np.testing.assert_array_equal(found.contains(x)[clear], workspace.is_free(x)[clear])
+    body = BitWriter()
+    found.write(body)
+    again = read_outline(BitReader(body.to_bytes()), found.origin)
+    for name in ("step", "points", "first", "may_squeeze"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+
+
+def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
+    found, _ = outline(Workspace(TEN, [box(4, 4, 6, 6)]))
+    for distance in (0.25, -0.5):
+        moved = {tuple(point) for point in found.moved_points(distance).tolist()}
+        inner, outer = box(*[4 + distance] * 2, *[6 - distance] * 2), box(*[-distance] * 2, *[10 + distance] * 2)
+        assert moved == {tuple(point) for point in [*inner.tolist(), *outer.tolist()]}
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
+    found, _ = outline(Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze))
+    assert found.may_squeeze == squeeze
+    at_contact = (found.positions == 5).all(axis=1)
+    moved = found.moved_points(0.1)[at_contact]
+    assert at_contact.sum() == 2 and (np.ptp(moved, axis=0).max() > 0.1) == squeeze
+
+
+FIELDS = ("corner", "edges", "leaf", "listed", "rounding", "points")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +77,7 @@ def test_distances_between_corners_are_those_over_the_edges(monkeypatch):
     lengths[tuple(edges.T)] = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     expected = floyd_warshall(lengths, directed=False)
     for at_once in (1, 12, 24, 50, 1000):
-        monkeypatch.setattr("plr_jax.pairs.stored._AT_ONCE", at_once)
+        monkeypatch.setattr("plr_jax.pairs.stored._DISTANCES_AT_ONCE", at_once)
         first, rows = zip(*distances_by_rows(points, edges), strict=True)
         np.testing.assert_allclose(np.concatenate(rows), expected)
         np.testing.assert_array_equal(first, np.cumsum([0, *map(len, rows[:-1])]))
@@ -86,36 +135,41 @@ def check_refused(file, message, **changes):
 
 
 def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
-    layers = first, pairs, lists = Container.from_bytes(stored.to_bytes()).layers
+    layers = first, lists = Container.from_bytes(stored.to_bytes()).layers
     check_refused(stored, None)
 
     def with_layer(place, **changes):
         return {"layers": tuple(replace(layer, **changes) if i == place else layer for i, layer in enumerate(layers))}
 
-    for place, message in enumerate(("end too early|more data than its corners need", "corners", "leaves")):
+    for place, message in enumerate(("corners need", "leaves need")):
         check_refused(stored, message, **with_layer(place, body=layers[place].body + bytes(9)))
         check_refused(stored, "proofs", **with_layer(place, proof_code=1))
-        for code in (0, (PAIRS_CODE + 1) % 16)[: 2 if place < 2 else 1]:
-            check_refused(stored, "one goal; use load|coarser PLRs", **with_layer(place, leaf_code=code))
-    for place, number in ((place, number) for place in (0, 1) for number in (np.nan, np.inf, -1.0)):
-        body = np.float32(number).tobytes() + layers[place].body[4:]
-        check_refused(stored, "its distances err by", **with_layer(place, body=body))
-    check_refused(stored, "its pairs have 2 layers of lists", layers=(first, pairs, lists, lists))
+    for code in (0, (PAIRS_CODE + 1) % 16):
+        check_refused(stored, "one goal; use load", **with_layer(0, leaf_code=code))
+    for number in (np.nan, np.inf, -1.0):
+        body = np.float32(number).tobytes() + first.body[4:]
+        check_refused(stored, "its distances err by", **with_layer(0, body=body))
+    check_refused(stored, "more data than its outline needs", layers=(first, first, lists))
+    check_refused(stored, "its pairs have 4 layers", layers=(first, lists, lists, lists))
+    check_refused(stored, "cut off before its lists", layers=(first,))
     for domain in (Box((0,), (1,)), Box((0, 0), (1, 1), periodic=(True, False)), Box((0, 0, 0), (1, 1, 1))):
         check_refused(stored, "they ought to be of a region in the plane", domain=domain)
     check_refused(stored, r"1e\+19 wide, more than 1e\+18", domain=Box((0, 0), (1e19, 1)))
 
 
-def test_cut_off_at_a_mark_there_is_one_leaf_of_all_corners(stored, maze):
-    data, marks = stored.to_bytes(), maze.file_marks
-    assert len(marks) == 2
-    for mark in marks:
-        cut = Stored.from_bytes(data[:mark])
-        assert len(cut.cells) == 1 and cut.leaf.tolist() == [0] * len(stored.corner)
-        np.testing.assert_array_equal(cut.listed, np.arange(len(stored.corner)))
-        assert (cut.joined is None) == (mark == marks[0])
-        for name in ("corner", "edges", "rounding_of_outline", "points"):
-            np.testing.assert_array_equal(getattr(cut, name), getattr(stored, name))
-    for size in set(range(len(data))) - {*marks}:
-        with pytest.raises(ValueError):
-            Stored.from_bytes(data[:size])
+def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
+    """Three layers, of which the second one holds the joined pairs."""
+    data = (Path(__file__).parent / "maze_of_0_1.plr").read_bytes()
+    old, marks = Stored.from_bytes(data), Header.read(data).marks
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(old, name), getattr(maze.stored, name))
+    x, y = two_batches(MAZE, 100)
+    np.testing.assert_array_equal(pairs_from_bytes(data)(x, y), maze(x, y))
+    assert len(marks) == 2 and old.to_bytes() == maze.to_bytes()
+    for whole in (data, maze.to_bytes()):
+        for size in range(0, len(whole), 7):
+            with pytest.raises(ValueError):
+                Stored.from_bytes(whole[:size])
+        for mark in Header.read(whole).marks:
+            with pytest.raises(ValueError, match="cut off before its lists of corners"):
+                Stored.from_bytes(whole[:mark])

@@ -12,7 +12,6 @@ from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
 from plr_jax import Euclidean, PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
-from plr_jax.pairs.pair_plr import pairs_from_bytes
 
 PROBLEM = scenes.maze()
 WORKSPACE, GOAL = PROBLEM.workspace, PROBLEM.goals[0]
@@ -74,9 +73,6 @@ def test_what_is_not_shown_is_refused(held):
         plot.page(held["cones"].numpy())
     with pytest.raises(ValueError, match="got a PLR of 3 axes"):
         plot.page(construct(Euclidean((0, 0, 0)), ((-1, -1, -1), (1, 1, 1)), max_leaves=4))
-    pairs = held["pairs"]
-    with pytest.raises(ValueError, match="cut off before its lists"):
-        plot.page(pairs_from_bytes(pairs.to_bytes()[: pairs.file_marks[0]]))
 
 
 @pytest.fixture(scope="module")
