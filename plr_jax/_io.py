@@ -35,8 +35,7 @@ def load(path: str | os.PathLike) -> Any:
     """Read what :func:`save` wrote, whatever it is; it answers alike, bit for bit, and has the same ``to_bytes()``.
 
     What a query of a PairPLR reads is many times as large as the file, and made when it is first asked: of thousands
-    of corners that takes seconds to minutes. A file that was cut off at one of its ``file_marks`` is one of the same
-    distances, whose queries take longer; its bounds are as true.
+    of corners that takes seconds to minutes.
 
     Args:
         path: The file.

@@ -19,7 +19,7 @@ from plr_jax.plr.partition.cells import Cells, Tree, levels_of, tree_of
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Where each leaf is asked, in its local coordinates."""
 _HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all of a leaf
-_DEPTH = 13  # to which few leaves are halved, such as the one of a file that was cut off before its lists
+_DEPTH = 13  # to which few leaves are halved, such as a single one
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
 _ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of pairs rounds

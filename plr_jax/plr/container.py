@@ -24,7 +24,7 @@ Layout of version 5, with numbers as :func:`varint` writes them:
       u32     CRC-32 of all bytes before from the start of the file, but for other checksums, little-endian
 
 A PLR has one layer. Files of several, which plr_jax 0.1 wrote, are refused. The layers of pairs each add to the ones
-before: a file that is cut off behind one of them, at a *mark*, is one of the same pairs, which take longer.
+before. A file that is cut off behind one of them, at a *mark*, has a valid checksum; readers of pairs refuse it.
 """
 
 import os
@@ -394,14 +394,6 @@ class HeldFile:
     def num_bytes(self) -> int:
         """Bytes of the file."""
         return int.from_bytes(np.asarray(self.file)[-_SIZE_BYTES:].tobytes(), "little")
-
-    @property
-    def file_marks(self) -> tuple[int, ...]:
-        """Where a file of pairs may be cut off, in bytes from its start, to be one of the same pairs; none of a PLR.
-
-        Of a file that was cut off at a mark, those before it.
-        """
-        return tuple(mark for mark in Header.read(self.to_bytes()).marks if mark < self.num_bytes)
 
     @property
     def label(self) -> str:
