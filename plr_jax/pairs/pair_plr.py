@@ -92,7 +92,7 @@ class PairPLR(HeldFile):
         """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
         stored = replace(self.stored, label=label)
         known = self.__dict__.get("tables")  # if they have been built
-        return replace(super().with_label(label), _known_tables=known, _known_stored=stored)
+        return replace(self, file=super().with_label(label).file, _known_tables=known, _known_stored=stored)
 
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
