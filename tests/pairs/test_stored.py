@@ -161,11 +161,12 @@ def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
     """Three layers, of which the second one holds the joined pairs."""
     data = (Path(__file__).parent / "maze_of_0_1.plr").read_bytes()
     old, marks = Stored.from_bytes(data), Header.read(data).marks
-    for name in FIELDS:
+    for name in ("corner", "edges", "rounding", "points"):
         np.testing.assert_array_equal(getattr(old, name), getattr(maze.stored, name))
+    check_read_as_written(old)
     x, y = two_batches(MAZE, 100)
     np.testing.assert_array_equal(pairs_from_bytes(data)(x, y), maze(x, y))
-    assert len(marks) == 2 and old.to_bytes() == maze.to_bytes()
+    assert len(marks) == 2 and len(old.cells) == 873
     for whole in (data, maze.to_bytes()):
         for size in range(0, len(whole), 7):
             with pytest.raises(ValueError):
