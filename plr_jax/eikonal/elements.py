@@ -1,15 +1,15 @@
 """Finite elements: functions that are polynomials in every cell of a mesh and continuous across its open faces.
 
 A cell holds the values at a lattice of nodes, ``degree + 1`` along every axis. Nodes of two cells at one point of an
-open face are one; a node that lies on a face of a larger cell, but at no node of it, *hangs* there and takes its
-value. The other nodes are the degrees of freedom. The gradient is a polynomial too: in Bernstein's form its control
-vectors enclose it, so that what holds for all of them, if it is convex, holds everywhere in the cell.
+open face are one node. A node that lies on a face of a larger cell, but at no node of that cell, *hangs* there and
+takes the value of the larger cell's polynomial. The other nodes are the degrees of freedom. The gradient is a
+polynomial too. In Bernstein's form its control vectors enclose it: a convex condition on all of them holds
+everywhere in the cell.
 """
 
 from dataclasses import dataclass
 from functools import reduce
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,26 +19,10 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.partition.faces import eliminated, face_points, resolve
 
-
-class _Ties(NamedTuple):
-    """What makes functions continuous across faces.
-
-    Attributes:
-        same: Nodes that are one with a node of another cell.
-        hanging: Nodes that lie elsewhere on another cell's face.
-        on_cell: That cell.
-        at: Where in it, from 0 to 1.
-        crossing: Two cells that are long along different axes, so that a function on what they have in common of a
-            face has a node that is a node of neither.
-        places: Where that is in both.
-    """
-
-    same: Int[np.ndarray, "2 pairs"]
-    hanging: Int[np.ndarray, "m"]
-    on_cell: Int[np.ndarray, "m"]
-    at: Float[np.ndarray, "m dim"]
-    crossing: Int[np.ndarray, "2 k"]
-    places: Float[np.ndarray, "2 k dim"]
+# Weights a node, at most, in the equations of nodes that hang on several cells.
+_MOST_WEIGHTS_OF_NODE = 2**8
+_QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
+_TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +31,7 @@ class FunctionSpace:
 
     Attributes:
         mesh: The cells.
-        degree: Of the polynomials along each axis.
+        degree: Degree of the polynomials along each axis.
         values: Maps degrees of freedom to values at all nodes, numbered ``cell * nodes_of_cell + node``; 0 in blocked
             cells.
         points: Where each degree of freedom is, as a fraction of the domain.
@@ -67,29 +51,22 @@ class FunctionSpace:
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
         """Maps degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
-        weight = basis(self.degree, t)
-        num, size = weight.shape
-        columns = (cell[:, None] * size + np.arange(size)).ravel()
-        shape = (num, len(self.mesh.state) * size)
-        rows = csr_array((weight.ravel(), (np.repeat(np.arange(num), size), columns)), shape)
-        return csr_array(rows @ self.values)
+        return csr_array(_interpolation(self.degree, cell, t, self.values.shape[0]) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
         """Maps degrees of freedom to control values of each partial derivative over the mesh's open cells.
 
         Rows are numbered ``open cell * nodes_of_cell + control point``; derivatives are by coordinates times a scale.
         """
-        mesh, size = self.mesh, len(self.lattice)
+        mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
-        operators = []
+        # Maps values at nodes to control values of a partial derivative, its degree raised to that of the others.
+        difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
+        share = np.arange(degree + 1)[:, None] / degree
+        raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
+        along, operators = raised @ difference @ _TO_BERNSTEIN[degree], []
         for axis in range(mesh.dim):
-            # Maps values at nodes to control values of a partial derivative, its degree raised to that of the others.
-            degree = self.degree
-            difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
-            share = np.arange(degree + 1)[:, None] / degree
-            raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
-            along = raised @ difference @ _TO_BERNSTEIN[degree]
             control = reduce(np.kron, [along if each == axis else _TO_BERNSTEIN[degree] for each in range(mesh.dim)])
             num, (i, j) = len(width), np.nonzero(control)
             entries = control[i, j] / width[:, axis, None]
@@ -107,23 +84,16 @@ class FunctionSpace:
         return np.asarray(self.values[rows].T @ weights.ravel())
 
 
-_MOST_WEIGHTS_OF_NODE = 2**8  # in the equations of nodes that hang on several cells
-_QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
-_TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
-
-
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """What the nodes' basis functions are at points from 0 to 1 of a cell."""
+    """Evaluate the nodes' basis functions at points from 0 to 1 of a cell."""
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
         along = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=-1)
-    return reduce(_products, along.transpose(1, 0, 2))
-
-
-def _products(a: Float[np.ndarray, "n i"], b: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n ij"]:
-    """All products of two rows' numbers, row by row."""
-    return (a[:, :, None] * b[:, None]).reshape(len(a), a.shape[1] * b.shape[1])
+    result = along[:, 0]
+    for of_axis in along.transpose(1, 0, 2)[1:]:
+        result = (result[:, :, None] * of_axis[:, None]).reshape(len(t), result.shape[1] * of_axis.shape[1])
+    return result
 
 
 def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
@@ -132,58 +102,10 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
-    """The continuous functions on a mesh."""
+    """Build the space of the continuous functions on a mesh."""
     lattice = _lattice(degree, mesh.dim)
-    ties, num_nodes = _ties(mesh, degree, lattice), len(mesh.state) * len(lattice)
-    tied = coo_array((np.ones(ties.same.shape[1], bool), tuple(ties.same)), (num_nodes, num_nodes))
-    num_groups, group = connected_components(tied, directed=False)
-    resolved = _resolved(mesh, degree, ties, group, num_groups)
-    of_open = (mesh.open_cells[:, None] * len(lattice) + np.arange(len(lattice))).ravel()
-    node_of = np.full(num_groups, -1)
-    node_of[group[of_open]] = of_open
-    dofs = np.flatnonzero((node_of >= 0) & (resolved.diagonal() == 1))
-    node_of = node_of[dofs]
-    points = mesh.fractions(node_of // len(lattice), lattice[node_of % len(lattice)])
-    return FunctionSpace(mesh, degree, csr_array(resolved[group][:, dofs]), points, node_of)
-
-
-def _resolved(
-    mesh: Mesh, degree: int, ties: _Ties, group: Int[np.ndarray, "all_nodes"], num_groups: int
-) -> csr_array:
-    """What the values of groups of nodes are made of: those of groups that are free."""
-    hanging, first = np.unique(group[ties.hanging], return_index=True)
-    size, shape = (degree + 1) ** mesh.dim, (num_groups, num_groups)
-    on = group[ties.on_cell[:, None] * size + np.arange(size)]
-    weight = basis(degree, ties.at)
-    where = np.repeat(hanging, size), on[first].ravel()
-    is_free = np.ones(num_groups)
-    is_free[hanging] = 0
-    resolved = resolve(csr_array((weight[first].ravel(), where), shape), is_free)
-    if mesh.dim <= 2:
-        return resolved
-    # Between blocked cells a node may hang on two cells of which neither implies the other, and where cells that are
-    # long along different axes meet, a corner of what they have in common is a node of neither.
-    again = np.setdiff1d(np.arange(len(on)), first)
-    cell, node = np.divmod(ties.hanging[again], size)
-    here = np.append(cell, ties.crossing[0]), np.append(_lattice(degree, mesh.dim)[node], ties.places[0], axis=0)
-    there = np.append(ties.on_cell[again], ties.crossing[1]), np.append(ties.at[again], ties.places[1], axis=0)
-    if not len(here[0]):
-        return resolved
-    values = []
-    for cells, t in (here, there):
-        where = np.repeat(np.arange(len(t)), size), group[cells[:, None] * size + np.arange(size)].ravel()
-        values.append(csr_array((basis(degree, t).ravel(), where), (len(t), num_groups)))
-    depth = np.zeros(num_groups, np.int64)
-    np.maximum.at(depth, group, np.repeat(mesh.cells.depth.sum(axis=1), size))
-    rows = csr_array((values[0] - values[1]) @ resolved)
-    return csr_array(resolved @ eliminated(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
-
-
-def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:
-    return np.array(list(product(np.arange(degree + 1) / degree, repeat=dim)))
-
-
-def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _Ties:
+    size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
+    # 1. Find the nodes that are one with a node of another cell, and those that hang on a cell, at a place in it.
     place = (degree + 1) ** np.arange(mesh.dim)[::-1]
     same, hanging, on_cell, at, crossing, places = [], [], [], [], [], []
     for axis in range(mesh.dim):
@@ -193,13 +115,14 @@ def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _
             t = mesh.local(other[:, None], mesh.fractions(cell[:, None], lattice[on_face]))
             t[:, :, axis] = 1 - end  # across the seam of a periodic axis too
             face, index = np.nonzero(np.all((t >= 0) & (t <= 1), axis=2))
-            node, where = cell[face] * len(lattice) + on_face[index], t[face, index]
+            node, where = cell[face] * size + on_face[index], t[face, index]
             is_node = np.all(where * degree == np.rint(where * degree), axis=1)
-            twin = other[face] * len(lattice) + np.rint(where * degree).astype(int) @ place
+            twin = other[face] * size + np.rint(where * degree).astype(int) @ place
             same.append(np.stack([node, twin])[:, is_node])
             hanging.append(node[~is_node])
             on_cell.append(other[face[~is_node]])
             at.append(where[~is_node])
+        # Where cells that are long along different axes meet, a node of what they share is a node of neither.
         depth = mesh.cells.depth[faces.lower] - mesh.cells.depth[faces.upper]
         depth[:, axis] = 0
         faces = faces[(depth.min(axis=1) < 0) & (depth.max(axis=1) > 0)]
@@ -210,5 +133,45 @@ def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _
         is_node = (t * degree == np.rint(t * degree)).all(axis=2).any(axis=0)
         crossing.append(pair[:, ~is_node])
         places.append(t[:, ~is_node])
-    ends = (np.concatenate(part, axis=1) for part in (crossing, places))
-    return _Ties(np.concatenate(same, axis=1), *(np.concatenate(part) for part in (hanging, on_cell, at)), *ends)
+    same, crossing, places = (np.concatenate(part, axis=1) for part in (same, crossing, places))
+    hanging, on_cell, at = (np.concatenate(part) for part in (hanging, on_cell, at))
+    # 2. Number the groups of nodes that are one, and express the groups that hang by those that are free.
+    tied = coo_array((np.ones(same.shape[1], bool), tuple(same)), (num_nodes, num_nodes))
+    num_groups, group = connected_components(tied, directed=False)
+    of_hanging, first = np.unique(group[hanging], return_index=True)
+    where = np.repeat(of_hanging, size), group[on_cell[first, None] * size + np.arange(size)].ravel()
+    is_free = np.ones(num_groups)
+    is_free[of_hanging] = 0
+    resolved = resolve(csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free)
+    # 3. A node may hang on two cells of which neither implies the other: their polynomials must agree there.
+    again = np.setdiff1d(np.arange(len(hanging)), first)
+    if mesh.dim > 2 and len(again) + crossing.shape[1]:
+        cell, node = np.divmod(hanging[again], size)
+        here = np.append(cell, crossing[0]), np.append(lattice[node], places[0], axis=0)
+        there = np.append(on_cell[again], crossing[1]), np.append(at[again], places[1], axis=0)
+        of_group = csr_array((np.ones(num_nodes), (np.arange(num_nodes), group)), (num_nodes, num_groups))
+        change = _interpolation(degree, *here, num_nodes) - _interpolation(degree, *there, num_nodes)
+        depth = np.zeros(num_groups, np.int64)
+        np.maximum.at(depth, group, np.repeat(mesh.cells.depth.sum(axis=1), size))
+        rows = csr_array(change @ of_group @ resolved)
+        resolved = csr_array(resolved @ eliminated(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
+    # 4. The degrees of freedom are the free groups that have a node in an open cell.
+    of_open = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
+    node_of = np.full(num_groups, -1)
+    node_of[group[of_open]] = of_open
+    dofs = np.flatnonzero((node_of >= 0) & (resolved.diagonal() == 1))
+    node_of = node_of[dofs]
+    points = mesh.fractions(node_of // size, lattice[node_of % size])
+    return FunctionSpace(mesh, degree, csr_array(resolved[group][:, dofs]), points, node_of)
+
+
+def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:
+    return np.array(list(product(np.arange(degree + 1) / degree, repeat=dim)))
+
+
+def _interpolation(degree: int, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"], nodes: int) -> csr_array:
+    """Maps values at all nodes to values at points ``t``, from 0 to 1, of cells."""
+    weight = basis(degree, t)
+    num, size = weight.shape
+    columns = (cell[:, None] * size + np.arange(size)).ravel()
+    return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), columns)), (num, nodes))

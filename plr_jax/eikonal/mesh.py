@@ -1,7 +1,10 @@
-"""The mesh of a configuration space: dyadic cells, free, blocked or mixed."""
+"""The mesh of a configuration space: dyadic cells, each free, blocked or mixed."""
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Num
@@ -9,78 +12,58 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.voxels import spread
 from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-_OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_coarse", "_corners")
-_COARSE = 4  # boxes a cell, at most, of the grid from whose boxes points are located
-_MOST_SLENDER = 2e5  # beyond, equations lose all digits of what is long
-_LONG = 0.7  # of the width along the axis along which a cell is widest
-_LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
+# The grid that locates points has at most this many boxes for each cell.
+_COARSE = 4
+# If cells are more slender, the equations lose all digits along their long axis.
+_MOST_SLENDER = 2e5
+# A cell is halved along the axes along which it has at least this share of its largest width.
+_LONG = 0.7
+# Splits of a periodic axis, so that no cell touches another one on both sides.
+_LEAST_PERIODIC = 2
+
+CellIndex: TypeAlias = Int[np.ndarray, "n"]
+Fractions: TypeAlias = Float[np.ndarray, "n dim"]
+Corners: TypeAlias = tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]
+States: TypeAlias = Int8[np.ndarray, "cells"]
+Mask: TypeAlias = Bool[np.ndarray, "cells"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Mesh:
-    """Cells of a domain, in the order of the tree's traversal, and what is known of them.
+    """Cells of a domain, in the order of the tree's traversal, and what is proven of each.
+
+    Points are given as *fractions* of the domain, from 0 to 1 along each axis, or as *local* coordinates, from 0 to 1
+    along each axis of a cell.
 
     Args:
-        domain: What they fill.
-        tree: Their tree.
-        state: What is proven of each, as :class:`CellState` has it.
-        is_flush: Which are blocked, but flush with free space, so that a query, which rounds, may place free points
-            in them. They answer as what is beside them does.
+        domain: The box that the cells fill.
+        tree: The tree of the cells.
+        state: The :class:`CellState` of each cell.
+        is_flush: Which cells are blocked, but flush with free space: a query, which rounds, may place free points in
+            such a cell, so it answers as the open cells beside it do.
     """
 
     domain: Box
     tree: Tree
-    state: Int8[np.ndarray, "cells"]
-    is_flush: Bool[np.ndarray, "cells"]
+    state: States
+    is_flush: Mask
 
     @property
     def dim(self) -> int:
         """Number of axes."""
         return self.domain.dim
 
+    # What depends on the cells alone is computed once, and shared with the meshes of `with_state`.
+
     @cached_property
     def cells(self) -> Cells:
-        """The cells."""
+        """The dyadic cells."""
         return self.tree.leaves
-
-    @cached_property
-    def open_cells(self) -> Int[np.ndarray, "open"]:
-        """Those that are not blocked."""
-        return np.flatnonzero(self.state != CellState.BLOCKED)
-
-    @cached_property
-    def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Flush cells, and cells that are not blocked and that they touch."""
-        flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
-        return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
-
-    def shared_boxes(
-        self, cell: Int[np.ndarray, "n"], other: Int[np.ndarray, "n"]
-    ) -> tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"]]:
-        """What cells have in common with others that touch them: ends, as fractions, and turns to the others.
-
-        Turns are 0, or 1 or -1 where that is across the seam of a periodic axis.
-        """
-        (lo, hi), (low, high) = (
-            [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
-        )
-        turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)
-        return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
-
-    @cached_property
-    def faces(self) -> SharedFaces:
-        """Faces between cells that are not blocked."""
-        return self.all_faces[self.is_open_face]
-
-    @cached_property
-    def is_open_face(self) -> Bool[np.ndarray, "faces"]:
-        """Which of all faces are."""
-        is_open = self.state != CellState.BLOCKED
-        return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
 
     @cached_property
     def all_faces(self) -> SharedFaces:
@@ -88,24 +71,24 @@ class Mesh:
         return shared_faces(self.tree, self.domain.periodic)
 
     @cached_property
-    def boxes(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+    def boxes(self) -> Corners:
         """Lower and upper corners of the cells."""
         return self.cells.boxes(self.domain)
 
-    @property
-    def grown_boxes(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+    @cached_property
+    def grown_boxes(self) -> Corners:
         """Corners of boxes that hold all points which a query, which rounds, may place in the cells."""
         return _grown_boxes(self.cells, self.domain)
 
     @cached_property
     def widths(self) -> Float[np.ndarray, "cells dim"]:
-        """Of the cells, along each axis."""
+        """Widths of the cells along each axis."""
         return np.ldexp(self.domain.width, -self.cells.depth)
 
-    @property
-    def volumes(self) -> Float[np.ndarray, "cells"]:
-        """Of the cells."""
-        return self.widths.prod(axis=1)
+    @cached_property
+    def _finest(self) -> Int[np.ndarray, "dim"]:
+        """How often the smallest cells are halved along each axis."""
+        return self.cells.depth.max(axis=0)
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
@@ -118,46 +101,6 @@ class Mesh:
         points = np.stack(np.unravel_index(keys, tuple(slots + 1)), axis=1) / slots
         return points, node.reshape(len(self.cells), -1)
 
-    @property
-    def nodes(self) -> Float[np.ndarray, "nodes dim"]:
-        """Corners of cells, as fractions of the domain, below 1 along periodic axes."""
-        return self._corners[0]
-
-    @property
-    def corners(self) -> Int[np.ndarray, "cells corners"]:
-        """The nodes at the corners of each cell."""
-        return self._corners[1]
-
-    def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Points ``t``, from 0 to 1, of cells as fractions of the domain; exact for dyadic ones."""
-        return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
-
-    def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Fractions of the domain as points of cells, the inverse of :meth:`fractions`."""
-        return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
-
-    def within(self, cell: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:
-        """Fractions of the domain that lie in cells as points of these, also across the seam of a periodic axis."""
-        t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
-        return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
-
-    def locate(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
-        most = (1 << self._finest) - 1
-        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
-        depth, node = self._coarse
-        return self.tree.leaf_of_node[self._descended(node[tuple((slot >> (self._finest - depth)).T)], slot)]
-
-    @property
-    def inset(self) -> Float[np.ndarray, "dim"]:
-        """Of the domain, by what points may be moved from a face of cells into the cell beyond."""
-        return np.ldexp(0.25, -self._finest)
-
-    @cached_property
-    def _finest(self) -> Int[np.ndarray, "dim"]:
-        """How often the smallest cells are halved along each axis."""
-        return self.cells.depth.max(axis=0)
-
     @cached_property
     def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
         """A grid, how often it halves each axis, and the smallest node of the tree that holds each of its boxes."""
@@ -169,13 +112,50 @@ class Mesh:
         node = self._descended(np.zeros(len(box), np.int64), box << (self._finest - depth), depth)
         return depth, node.reshape(shape)
 
+    @property
+    def nodes(self) -> Float[np.ndarray, "nodes dim"]:
+        """Corners of cells, as fractions of the domain, below 1 along periodic axes."""
+        return self._corners[0]
+
+    @property
+    def corners(self) -> Int[np.ndarray, "cells corners"]:
+        """The nodes at the corners of each cell."""
+        return self._corners[1]
+
+    @property
+    def volumes(self) -> Float[np.ndarray, "cells"]:
+        """Volumes of the cells."""
+        return self.widths.prod(axis=1)
+
+    @property
+    def inset(self) -> Float[np.ndarray, "dim"]:
+        """A share of the domain by which a point on a face may be moved without leaving the cell beyond."""
+        return np.ldexp(0.25, -self._finest)
+
+    def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
+        """Local coordinates in cells as fractions of the domain; exact for dyadic ones."""
+        return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
+
+    def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
+        """Fractions of the domain as local coordinates in cells, the inverse of :meth:`fractions`."""
+        return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
+
+    def within(self, cell: CellIndex, x: Fractions) -> Fractions:
+        """Fractions that lie in cells as local coordinates, also across the seam of a periodic axis."""
+        t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
+        return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
+
+    def locate(self, x: Fractions) -> CellIndex:
+        """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
+        most = (1 << self._finest) - 1
+        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
+        depth, node = self._coarse
+        return self.tree.leaf_of_node[self._descended(node[tuple((slot >> (self._finest - depth)).T)], slot)]
+
     def _descended(
-        self,
-        node: Int[np.ndarray, "n"],
-        slot: Int[np.ndarray, "n dim"],
-        most: Int[np.ndarray, "dim"] | None = None,
-    ) -> Int[np.ndarray, "n"]:
-        """Below nodes, the leaves that hold slots as wide as the smallest cells, or parts that large."""
+        self, node: CellIndex, slot: Int[np.ndarray, "n dim"], most: Int[np.ndarray, "dim"] | None = None
+    ) -> CellIndex:
+        """Return the descendants of nodes that hold slots as wide as the smallest cells, at most so deep."""
         tree, row, node = self.tree, np.arange(len(node)), node.copy()
         while True:
             at, axis = node[row], tree.axis[node[row]]
@@ -186,28 +166,63 @@ class Mesh:
                 return node
             node[row] = tree.child[at] + (slot[row, axis] >> (self._finest[axis] - depth - 1) & 1)
 
-    def connected_to(self, cell: int) -> Bool[np.ndarray, "cells"]:
-        """Which cells are connected to one by open faces."""
+    # What depends on the states of cells.
+
+    @property
+    def open_cells(self) -> Int[np.ndarray, "open"]:
+        """The cells that are not blocked."""
+        return np.flatnonzero(self.state != CellState.BLOCKED)
+
+    @property
+    def is_open_face(self) -> Bool[np.ndarray, "faces"]:
+        """Which of all faces are between cells that are not blocked."""
+        is_open = self.state != CellState.BLOCKED
+        return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
+
+    @property
+    def faces(self) -> SharedFaces:
+        """Faces between cells that are not blocked."""
+        return self.all_faces[self.is_open_face]
+
+    @property
+    def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
+        """Pairs of a flush cell and a cell that is not blocked and touches it."""
+        flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
+        return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
+
+    def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
+        """What touching cells have in common: lower ends, upper ends, and turns to the other cell.
+
+        A turn is 0, or 1 or -1 where the other cell is across the seam of a periodic axis.
+        """
+        (lo, hi), (low, high) = (
+            [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
+        )
+        turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)
+        return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
+
+    def connected_to(self, cell: int) -> Mask:
+        """Which cells are connected to a cell by open faces."""
         num, faces = len(self.state), self.faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
         return part == part[cell]
 
-    def without(self, is_closed: Bool[np.ndarray, "cells"]) -> "Mesh":
+    def with_state(self, state: States) -> "Mesh":
+        """The mesh of the same cells with other states."""
+        mesh = copy.copy(self)
+        mesh.state = state
+        return mesh
+
+    def without(self, is_closed: Mask) -> "Mesh":
         """The mesh with some cells counted as blocked."""
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
-
-    def with_state(self, state: Int8[np.ndarray, "cells"]) -> "Mesh":
-        """The same cells, of which something else is said; what is known of the cells alone is not computed again."""
-        mesh = Mesh(self.domain, self.tree, state, self.is_flush)
-        vars(mesh).update({name: vars(self)[name] for name in _OF_CELLS if name in vars(self)})
-        return mesh
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
         """The mesh with some cells halved along all axes along which they are about as wide as along any.
 
-        A mixed one is halved along one axis alone where that makes a half which is proven free or blocked: so what
-        is flush with halves of cells takes few of them.
+        If halving a mixed cell along one axis makes a half that is proven free or blocked, it is halved along that
+        axis alone: so walls along halves of cells take few cells.
 
         Args:
             which: The cells, first those that are refined first.
@@ -228,17 +243,18 @@ class Mesh:
         state, is_flush = (np.concatenate(each) for each in zip(*known, strict=True))
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
-    def _parts(
-        self, which: Int[np.ndarray, "some"], space: ConfigurationSpace
-    ) -> tuple[Cells, Int8[np.ndarray, "parts"], Bool[np.ndarray, "parts"]]:
-        """What some cells are refined into, what is proven of it, and what of it is flush with free space."""
+    def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+        """What some cells are refined into, what is proven of the parts, and which are flush with free space."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
-        state = np.repeat(self.state[which, None], len(bits), axis=1)  # of their parts, halved along all axes
+        # 1. Classify the parts of mixed cells, halved along all axes.
+        state = np.repeat(self.state[which, None], len(bits), axis=1)
         is_flush = np.zeros(state.shape, bool)
-        for known, of_parts in zip(
-            (state, is_flush), _classify(_split(cells[mixed]), self.domain, space), strict=True
-        ):
+        halved = cells[mixed]
+        for axis in range(self.dim):
+            halved = halved.split(np.full(len(halved), axis))
+        for known, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
             known[mixed] = of_parts.reshape(-1, len(bits))
+        # 2. Choose the axes: one that makes a proven half, else all long ones.
         width = self.widths[which] * space.motion_cost.scale
         width = width / width.max(axis=1, keepdims=True)
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
@@ -246,23 +262,22 @@ class Mesh:
         proven = is_proven.reshape(len(which), self.dim, 2).sum(axis=2)
         best = np.argmax(proven + width / 2, axis=1)
         alone = mixed & proven.any(axis=1)
-        halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
-        # Which parts are one, as their cell is halved along some axes alone.
-        weight = 1 << np.arange(self.dim)[::-1]
-        one = np.arange(len(bits)) & (halved @ weight)[:, None]
+        is_halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
+        # 3. Join the parts between which no axis was chosen.
+        one = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
         key, of_part = np.unique(np.arange(len(which))[:, None] * len(bits) + one, return_inverse=True)
         least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
         np.minimum.at(least, of_part.ravel(), state.ravel())
         np.maximum.at(most, of_part.ravel(), state.ravel())
         cell, part = np.divmod(key, len(bits))
-        depth = cells.depth[cell] + halved[cell]
-        parts = Cells(depth, (cells.position[cell] << halved[cell]) + bits[part])
+        parts = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
         return parts, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
 
 
-def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
-    """A mesh of at least so many cells, if the most allow it, about as wide along every axis by a scale."""
+def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
+    """A mesh of at least so many cells, if the most allow it, about as wide along every axis by motion cost."""
+    scale = space.motion_cost.scale
     depth = even_depth(space.domain, scale, num_cells, max_cells)
     width = np.ldexp(space.domain.width * scale, -depth)
     if width.max() > _MOST_SLENDER * width.min():
@@ -280,7 +295,7 @@ def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_
 def even_depth(
     domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
 ) -> Int[np.ndarray, "dim"]:
-    """How often to halve a domain along each axis for cells about as wide along every one by a scale.
+    """How often to halve a domain along each axis, for cells that are about as wide along every axis by a scale.
 
     At least so many cells, if the most allow it.
     """
@@ -299,20 +314,12 @@ def even_depth(
     return depth
 
 
-def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"], is_flush: Bool[np.ndarray, "cells"]) -> Mesh:
+def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
     tree = tree_of(cells)
     return Mesh(domain, tree, state[tree.order], is_flush[tree.order])
 
 
-def _split(cells: Cells) -> Cells:
-    for axis in range(cells.dim):
-        cells = cells.split(np.full(len(cells), axis))
-    return cells
-
-
-def _classify(
-    cells: Cells, domain: Box, space: ConfigurationSpace
-) -> tuple[Int8[np.ndarray, "cells"], Bool[np.ndarray, "cells"]]:
+def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
     """What is proven of cells, and which are flush with free space: blocked, but not with what is beside them."""
     if not len(cells):
         return np.zeros(0, np.int8), np.zeros(0, bool)
@@ -322,6 +329,48 @@ def _classify(
     return state, is_flush
 
 
-def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+def _grown_boxes(cells: Cells, domain: Box) -> Corners:
     lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in cells.grown_boxes(domain))
     return lo, hi
+
+
+def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
+    """Count flush blocked cells as mixed where open cells touch in an edge or a corner alone, between blocked ones.
+
+    From such a place a path may begin on either side, and in a space that lets robots squeeze through it may pass.
+    Through mixed cells, what is known on one side meets what is known on the other.
+    """
+    dim, periodic = mesh.dim, mesh.domain.periodic
+    signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
+    while dim > 1:
+        # 1. Edges and corners that flush cells have in common with open cells: middles and half widths, fractions.
+        flush, beside = mesh.flush_pairs
+        lo, hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
+        low, high, _ = mesh.shared_boxes(flush, beside)
+        x = low[:, None] + (high - low)[:, None] * shares
+        half = np.where(shares == 0.5, (high - low)[:, None] / 2, 0.0)
+        is_edge = ((x == lo[:, None]) | (x == hi[:, None])).sum(axis=2) > 1
+        edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
+        middle, half = edges[:, :dim], edges[:, dim:]
+        # 2. Which of the cells around each are open.
+        x = middle[:, None] + signs * mesh.inset
+        around = mesh.locate(np.where(periodic, x % 1.0, x).reshape(-1, dim)).reshape(x.shape[:2])
+        is_open = (mesh.state[around] != CellState.BLOCKED) & (((x > 0) & (x < 1)) | periodic).all(axis=2)
+        # 3. What is beside the edge may be blocked, though its cell is not.
+        edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
+        beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * mesh.inset)
+        lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
+        is_open[edge, side] = space.classify(mesh.domain.at(lo), mesh.domain.at(hi)) != CellState.BLOCKED
+        touches = np.zeros(len(mesh.state), bool)
+        touches[around[_are_parted(is_open)]] = True
+        touches &= mesh.is_flush & (mesh.state == CellState.BLOCKED)
+        if not touches.any():
+            break
+        mesh = mesh.with_state(np.where(touches, np.int8(CellState.MIXED), mesh.state))
+    return mesh
+
+
+def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
+    """Whether some open sides are joined to others through no open ones."""
+    is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
+    return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

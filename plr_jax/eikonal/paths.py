@@ -11,7 +11,7 @@ References:
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,24 +19,32 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, runs
-from plr_jax.eikonal.cell_costs import CellCosts
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import Mesh
+from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
-_ROUNDS = 24
-_GAIN = 1e-9  # share of its cost by which a path must become cheaper
-_ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
-_AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
-_ROUNDING = 1e-10  # of costs, and of where in a cell the factor is asked
-_EDGES_AT_ONCE = 1 << 18  # which bounds the memory
-_STRIDES = (2, 4, 8, 16, 32)  # steps of the grid of an estimate, after which nodes near ways are looked for
-_NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free
+# Rounds of straightening: at most so many, and no more if one gains less than this share of all costs.
+_ROUNDS, _ENOUGH = 24, 1e-5
+# Share of its cost by which a path must become cheaper.
+_GAIN = 1e-9
+# How far beyond a face the next cell is looked for, as a share of the domain.
+_AHEAD = 2.0**-44
+# Share by which costs are rounded up.
+_ROUNDING = 1e-10
+# Edges handled at a time, which bounds the memory.
+_EDGES_AT_ONCE = 1 << 18
+# Steps along the way of an estimate after which the nearest node is tried.
+_STRIDES = (2, 4, 8, 16, 32)
+# So many of the nearest nodes may go straight to a goal whose cell is not free.
+_NEAR_GOAL = 512
 
-Nodes = Int[np.ndarray, "nodes"]
-Costs = Float[np.ndarray, "nodes"]
-Edges = Int[np.ndarray, "edges"]
+Nodes: TypeAlias = Int[np.ndarray, "nodes"]
+Costs: TypeAlias = Float[np.ndarray, "nodes"]
+Edges: TypeAlias = Int[np.ndarray, "edges"]
+EdgeCosts: TypeAlias = Float[np.ndarray, "edges"]
+Point: TypeAlias = Float[np.ndarray, "dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +53,7 @@ class NodePaths:
 
     Attributes:
         points: Where the nodes are, as fractions of the domain; after them the goal.
-        cost: Of each node's path by the given costs, rounded up; ``inf`` where none was found.
+        cost: Cost of each node's path, rounded up; ``inf`` where none was found.
         next: The node that each path goes to first; the goal's number for the goal, and where there is none.
     """
 
@@ -54,45 +62,40 @@ class NodePaths:
     next: Nodes
 
 
-def graph_costs(
-    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
-) -> Float[np.ndarray, "nodes"]:
-    """What the cheapest ways to a goal cost from the nodes of a mesh along the graph; ``inf`` where there is none."""
+def graph_costs(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> Costs:
+    """Costs of the cheapest ways along the graph from the nodes of a mesh to a goal; ``inf`` where there is none."""
     return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
 
 
 def guided_paths(
-    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace, guide: GridEstimate
+    mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace, guide: GridEstimate
 ) -> NodePaths:
-    """Short paths to a goal, a fraction of the domain, from the corners of free cells, on the ways of an estimate.
+    """Short paths to a goal from the corners of free cells, on the ways of an estimate.
 
     From each node straight motions lead along edges of the graph, and to nodes near its way, nearer ones and farther.
     """
     graph = _FreeGraph(mesh, costs, goal, space)
-    node = np.arange(graph.goal)
     ahead = [graph.nearest(place) for place in guide.along(mesh.nodes, _STRIDES)]
-    graph.join(np.tile(node, len(ahead)), np.concatenate(ahead))
+    graph.join(np.tile(np.arange(graph.goal), len(ahead)), np.concatenate(ahead))
     next_, leg = graph.cheapest_edges()
     return NodePaths(graph.points, (1 + _ROUNDING) * _along(next_, leg), next_)
 
 
-def shortest_paths(
-    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
-) -> NodePaths:
+def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> NodePaths:
     """Short paths to a goal, a fraction of the domain, from the corners of free cells."""
     graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
-    cost = _along(next_, leg)
+    cost, node = _along(next_, leg), np.arange(len(next_))
     blocked = np.full((2, len(next_)), -1)  # where one cannot go straight, as was found last
     for _ in range(_ROUNDS):
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
-            node = graph.promising(ahead, cost)
-            node = node[(ahead[node] != blocked[:, node]).all(axis=0)]
+            gains = graph.least_costs(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
+            some = np.flatnonzero(gains & (ahead != blocked).all(axis=0))
             straight = np.full(len(next_), np.inf)
-            straight[node] = graph.straight_costs(node, ahead[node])
-            blocked[kind, node[np.isinf(straight[node])]] = ahead[node[np.isinf(straight[node])]]
+            straight[some] = graph.straight_costs(some, ahead[some])
+            blocked[kind, some[np.isinf(straight[some])]] = ahead[some[np.isinf(straight[some])]]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
             cost = _along(next_, leg)
@@ -110,10 +113,8 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
     return cost
 
 
-def _cheapest_of_each(
-    begin: Int[np.ndarray, "n"], end: Int[np.ndarray, "n"], cost: Float[np.ndarray, "n"], num_nodes: int
-) -> tuple[Edges, Edges, Float[np.ndarray, "edges"]]:
-    """Edges in order, of several between two nodes the cheapest."""
+def _cheapest_of_each(begin: Edges, end: Edges, cost: EdgeCosts, num_nodes: int) -> tuple[Edges, Edges, EdgeCosts]:
+    """Sort edges, and keep the cheapest of several between two nodes."""
     order = np.lexsort((cost, end, begin))
     order = order[np.diff(begin[order].astype(np.int64) * num_nodes + end[order], prepend=-1) != 0]
     return begin[order], end[order], cost[order]
@@ -122,7 +123,7 @@ def _cheapest_of_each(
 class _FreeGraph:
     """Corners of free cells, the goal last, and straight motions between those of one cell."""
 
-    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace):
+    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
         self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
         self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(goal), strict=True))
@@ -154,7 +155,7 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, goal: Float[np.ndarray, "dim"]) -> Iterator[tuple[Edges, Edges, Costs]]:
+    def _edges(self, goal: Point) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
         """Pairs of nodes in one closed free cell, in order, and what going straight costs at the most.
 
         For some nodes at a time: cells of many axes have in common most of their many pairs of corners.
@@ -193,13 +194,11 @@ class _FreeGraph:
             a, b, c = (each[a != b] for each in (a, b, c))
             change = self._changes(a, b)
             middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
-            cost = self.costs.of_placed_motions(change, c, middle)
+            cost = self.costs.of_motions(change, c, middle)
             a, b, cost = _cheapest_of_each(a, b, cost, len(self.points))
             yield a.astype(np.int32), b.astype(np.int32), cost
 
-    def _straight_to_goal(
-        self, space: ConfigurationSpace
-    ) -> tuple[Int[np.ndarray, "near"], Float[np.ndarray, "near"]]:
+    def _straight_to_goal(self, space: ConfigurationSpace) -> tuple[Edges, EdgeCosts]:
         """Nodes near the goal that can go straight there, in order, and what that costs at the most."""
         node = np.arange(self.goal)
         change = self._changes(node, np.full(len(node), self.goal))
@@ -233,28 +232,18 @@ class _FreeGraph:
         for some in parts(counts, _EDGES_AT_ONCE):
             edges = slice(bounds[some.start], bounds[some.stop])
             begin, ahead = self.begin[edges], next_[self.end[edges]]
-            total = self._lengths(begin, ahead) + cost[ahead]
+            total = self.least_costs(begin, ahead) + cost[ahead]
             least = np.minimum.reduceat(total, self.first[some] - edges.start)
             is_best = np.flatnonzero(total == np.repeat(least, counts[some]))
             best[begin[is_best]] = ahead[is_best]
         return best
 
-    def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
+    def least_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
         """What straight motions cost at the least."""
-        return self.costs.motion.norm(self._changes(begin, end)) * self._least
+        return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
-    @cached_property
-    def _least(self) -> float:
-        return float(self.costs.least_rates.min())
-
-    def promising(self, ahead: Nodes, cost: Costs) -> Int[np.ndarray, "some"]:
-        """The nodes from which going straight ahead would gain something if nothing were in the way."""
-        node = np.arange(len(ahead))
-        return np.flatnonzero(self._lengths(node, ahead) + cost[ahead] < (1 - _GAIN) * cost)
-
-    def straight_costs(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
+    def straight_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
         """What going straight costs at the most; ``inf`` where that leaves free cells."""
-        # What straight motions cost at the most, cell by cell; ``inf`` if one of their cells is not free.
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
@@ -273,7 +262,7 @@ class _FreeGraph:
                 to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
             step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
             middle = within + speed * (step / 2 - ahead[going])[:, None]
-            total[going] += self.costs.of_placed_motions(step[:, None] * change[going], cell, middle)
+            total[going] += self.costs.of_motions(step[:, None] * change[going], cell, middle)
             t[going] += step
             going = going[t[going] < 1.0]
         return total

@@ -1,14 +1,14 @@
 """The largest function below the cost-to-go: a convex program over a finite-element space.
 
 A function that is 0 at the goal, continuous across every face that is not proven blocked, and nowhere steeper than a
-step there costs, is nowhere above the cost of any path. Of a polynomial cell by cell, the slope is bounded by that of
-its control vectors, so that the largest such function, by its integral, solves
+step there costs, is nowhere above the cost of any path. The slope of a polynomial is bounded by its control vectors,
+so that the largest such function, by its integral, solves
 
     maximize  sum of w u   subject to  |gradient at each control point| <= cost of a step in the cell.
 
 The multipliers are a flow: from everywhere to the goal, along the cheapest ways. The alternating direction method of
-multipliers solves it, a Poisson equation an iteration, whose matrix is factored once in a while. What it ends with is
-made to satisfy the constraints, rounding included, so that the bound is proven however far it went.
+multipliers solves the program. Each iteration solves a Poisson equation, whose matrix is factored once in a while.
+The last iterate is made to satisfy the constraints, rounding included: the bound is proven after any number of steps.
 
 References:
     Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and degenerate
@@ -16,152 +16,274 @@ References:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from itertools import product
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 from pyamg import smoothed_aggregation_solver
-from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
+from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
 from scipy.sparse.linalg import cg, splu
 
-from plr_jax.eikonal.cell_costs import CellCosts
-from plr_jax.eikonal.elements import FunctionSpace, to_bernstein
+from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
+from plr_jax.eikonal.mesh import Mesh, with_open_contacts
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
-# Values bent down, level by level, so that slopes that are a little too steep are no longer.
-#
-# Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
-# values by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther from
-# the goal only moves down by what is lost. That is far less than dividing everything by the largest factor.
+CellIndex: TypeAlias = Int[np.ndarray, "n"]
+Motions: TypeAlias = Float[np.ndarray, "n dim"]
+Numbers: TypeAlias = Float[np.ndarray, "n"]
+Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
+PerControl: TypeAlias = Float[np.ndarray, "controls"]
+Dofs: TypeAlias = Float[np.ndarray, "dofs"]
+
+ROUNDING = 1e-9
+"""Share of values and of slopes that is many times what their evaluation rounds."""
+_TINY = float(np.finfo(float).tiny)
+# Parts of a cell along each axis, in which the cost factor is bounded, by the number of axes.
+_PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
+# Linear bounds of the factor fall nowhere in the cell below this share of the least factor.
+_LEAST_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class CellCosts:
+    """Bounds of the cost of motions in each cell; upper ones also hold where a query may place points in the cell.
+
+    In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
+    ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on the
+    direction of a motion. If they do not, the factor of ``|dq|`` is between two linear functions of the place as
+    well, which differ by less the smaller the cell is.
+
+    Attributes:
+        motion: The cost of a motion, times a factor.
+        cost_map: The factor, or None if it is 1 everywhere.
+        lower: The least factor in each cell.
+        upper: The largest factor in each cell.
+        slope: How much linear bounds of the factor change from one side of the cell to the other, along each axis.
+        least: The lower linear bound in the middle of the cell.
+        most: The upper linear bound in the middle of the cell.
+        pulls: Two vectors a cell; a motion costs the larger of its products with them in addition. None for none.
+    """
+
+    motion: MotionCost
+    cost_map: CostMap | None
+    lower: Float[np.ndarray, "cells"]
+    upper: Float[np.ndarray, "cells"]
+    slope: Float[np.ndarray, "cells dim"]
+    least: Float[np.ndarray, "cells"]
+    most: Float[np.ndarray, "cells"]
+    pulls: Float[np.ndarray, "2 cells dim"] | None = None
+
+    @property
+    def midway(self) -> "CellCosts":
+        """Costs for estimates: the upper bounds of the factor are replaced by the middle of both bounds."""
+        lower, least = self.lower, self.least
+        if self.pulls is not None:  # no motion may cost less than nothing
+            longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
+            lower, least = np.maximum(lower, longest), np.maximum(least, longest)
+        return replace(self, upper=(lower + self.upper) / 2, most=(least + self.most) / 2)
+
+    @cached_property
+    def least_rate(self) -> float:
+        """What a motion of length 1 costs at the least, in any cell and direction."""
+        if self.pulls is None:
+            return float(self.lower.min())
+        return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
+
+    def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
+        """What straight motions cost at the most, wherever they are in their cells, or with middles from 0 to 1."""
+        factor = self.upper[cell]
+        if middle is not None:
+            factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
+        pulls = None if self.pulls is None else self.pulls[:, cell]
+        return self.motion.norm(change) * factor + pulled(pulls, change)
+
+
+def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
+    """Bound what motions cost in each cell of a mesh; ``ValueError`` if the cost map gives no bounds."""
+    motion, num = space.motion_cost, len(mesh.state)
+    flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
+    if cost_map is None:
+        return CellCosts(motion, None, ones, ones, flat, ones, ones)
+    if isinstance(cost_map, DirectionalCost):
+        lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
+        return CellCosts(motion, cost_map, lower, upper, flat, lower, upper, pulls)
+    # Linear functions are bounds of the factor in a cell if they are so in each of its parts.
+    parts = _PARTS.get(mesh.dim, 1)
+    place = np.array(list(product(range(parts), repeat=mesh.dim)))
+
+    def bounds_of_parts(lo, hi):
+        ends = (lo[:, None] + (hi - lo)[:, None] * (place + end) / parts for end in (0, 1))
+        bounds = cost_bounds(motion, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
+        return (bound.reshape(num, -1) for bound in bounds[:2])
+
+    lo, hi = mesh.grown_boxes
+    (lower, _), (_, upper) = bounds_of_parts(*mesh.boxes), bounds_of_parts(lo, hi)
+    at = (place + 0.5) / parts - 0.5
+    slope = (lower + upper) / 2 @ at / np.maximum(np.sum(at**2, axis=0), _TINY)
+    # Parts of boxes that are a little larger than cells: what they are beyond their part of the cell counts.
+    half = (hi - lo) / (2 * parts) + (hi - lo - mesh.widths)
+    within, linear = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True), slope @ at.T
+    least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
+    lower, upper = lower.min(axis=1), upper.max(axis=1)
+    # Where the factor jumps they say less than its least and its largest value.
+    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_SHARE * lower) | (least < lower) | (most > upper)
+    slope[is_flat] = 0.0
+    least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
+    return CellCosts(motion, cost_map, lower, upper, slope, least, most)
 
 
 @dataclass(frozen=True, eq=False)
 class Rescaling:
-    """A piecewise linear function of values, 0 at 0, that rises by at most one unit a unit.
+    """Bends values down, level by level, so that slopes that are a little too steep no longer are.
+
+    Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
+    values by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther
+    from the goal only moves down by what is lost. That is far less than dividing everything by the largest factor.
 
     Attributes:
-        level: Where its pieces meet, ascending.
-        value: What it is there.
+        level: Where the pieces of the piecewise linear function meet, ascending.
+        value: The function there: 0 at 0, rising by at most one unit a unit.
     """
 
     level: Float[np.ndarray, "levels"]
     value: Float[np.ndarray, "levels"]
 
+    @classmethod
+    def of(cls, lowest: Numbers, highest: Numbers, factor: Numbers) -> "Rescaling":
+        """Divide slopes by a factor, where it is above 1, in cells of given lowest and highest values."""
+        order = np.argsort(factor, kind="stable")
+        order = order[factor[order] > 1]
+        level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
+        steepest = np.ones(len(level) - 1)
+        first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
+        for cell in order.tolist():  # the steepest last
+            steepest[first[cell] : last[cell]] = factor[cell]
+        value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
+        return cls(level, value - np.interp(0.0, level, value))
+
     def __call__(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """The values bent down."""
+        """Bend values down."""
         return np.interp(u, self.level, self.value)
-
-
-def rescaling_of(
-    lowest: Float[np.ndarray, "cells"], highest: Float[np.ndarray, "cells"], factor: Float[np.ndarray, "cells"]
-) -> Rescaling:
-    """That which divides slopes by a factor, where it is above 1, in cells of given lowest and highest values."""
-    order = np.argsort(factor, kind="stable")
-    order = order[factor[order] > 1]
-    level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
-    steepest = np.ones(len(level) - 1)
-    first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-    for cell in order.tolist():  # the steepest last
-        steepest[first[cell] : last[cell]] = factor[cell]
-    value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
-    return Rescaling(level, value - np.interp(0.0, level, value))
-
-
-# How steep a lower bound of the cost-to-go may be: convex sets of gradients, one a control point.
-#
-# Along a motion ``dq``, the cost-to-go falls by no more than the motion costs. So of a lower bound with gradient
-# ``g``, ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and weighted
-# turn, a product of balls; where something pulls, a ball moved along a segment. Gradients are in coordinates in which
-# a step of length 1 within any block of axes costs 1.
-
-
-Vectors = Float[np.ndarray, "dim controls"]
-ROUNDING = 1e-9  # share of values and of slopes, many times what their evaluation rounds
-_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The sets.
+    """How steep a lower bound of the cost-to-go may be: a convex set of gradients for each control point.
+
+    Along a motion ``dq``, the cost-to-go falls by no more than the motion costs. So if a lower bound has the gradient
+    ``g``, ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and
+    weighted turn, a product of balls; with pulls, a ball moved along a segment. Gradients are in coordinates in which
+    a step of length 1 within any block of axes costs 1.
 
     Attributes:
         blocks: Axes whose gradients are bounded together.
-        radius: Of the balls, at each control point.
+        radius: Radius of the balls, at each control point.
         pulls: Ends of the segment at each control point; None for none. There is one block then.
     """
 
     blocks: Sequence[Sequence[int]]
-    radius: Float[np.ndarray, "controls"]
+    radius: PerControl
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
+
+    def lengths(self, g: Vectors) -> list[PerControl]:
+        """Lengths of vectors in each block."""
+        return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
         """The nearest vectors in the sets."""
         offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
-        for block in self.blocks:
-            axes = list(block)
-            length = np.sqrt(np.sum(g[axes] ** 2, axis=0))
-            nearest[axes] = g[axes] * (radius / np.maximum(length, radius))
+        for block, length in zip(self.blocks, self.lengths(g), strict=True):
+            nearest[list(block)] = g[list(block)] * (radius / np.maximum(length, radius))
         return nearest + offset
 
     def _nearest_offset(self, g: Vectors) -> Vectors | float:
-        """The nearest points of the segments, of what gradients are the negative of."""
+        """The nearest points of the negative segments."""
         if self.pulls is None:
             return 0.0
         first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
         t = np.sum((g - first) * along, axis=0) / np.maximum(np.sum(along**2, axis=0), _TINY)
         return first + np.clip(t, 0.0, 1.0) * along
 
-    def factors(self, g: Vectors) -> Float[np.ndarray, "controls"]:
+    def factors(self, g: Vectors) -> PerControl:
         """By what vectors have to be divided, at the most, to be in the sets; below 1 within."""
         g = g - self._nearest_offset(g)
-        length = np.sqrt(np.max([np.sum(g[list(block)] ** 2, axis=0) for block in self.blocks], axis=0))
+        length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
             return length / self.radius
         inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball about 0
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
-    def costs(self, flow: Vectors) -> Float[np.ndarray, "controls"]:
+    def costs(self, flow: Vectors) -> PerControl:
         """What it costs to move along a flow toward the goal, which is against its vectors."""
-        norm = np.sum([np.sqrt(np.sum(flow[list(block)] ** 2, axis=0)) for block in self.blocks], axis=0)
+        norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
         return self.radius * norm + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
 
 
+# The penalties are at least this share of the median flow: with a small share flows settle sooner, else values do.
+_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0
 _RELAXATION = 1.6
-_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0  # over the median flow: flows settle sooner, or values do
-_LOOK_EVERY = 10  # iterations
-_GAIN = 5e-4  # share by which values have to rise
-_PATIENCE = 30  # iterations in which they do not, after which they have converged
-_RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
-_MOST_STEPS = 50  # of conjugate gradients
-_MOST_FACTORED = 100_000  # unknowns in space
-_COARSEST_GRID = 100  # unknowns of multigrid's smallest equations
+# Every so many iterations the bound is computed; it has converged if it has not risen by so much for so long.
+_LOOK_EVERY, _GAIN, _PATIENCE = 10, 5e-4, 30
+# Conjugate gradients leave this share of the residual, or stop after so many steps.
+_RESIDUAL, _MOST_STEPS = 1e-2, 50
+# Unknowns up to which a matrix in space is factored, and those of multigrid's smallest equations.
+_MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
-Flow = Float[np.ndarray, "dim controls"]
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Values of the degrees of freedom, and the flow at the control points."""
+
+    values: Dofs
+    flow: Vectors
 
 
 @dataclass(frozen=True, eq=False)
 class SlopeProgram:
-    """The program on one space.
+    """The program on one finite-element space.
 
     Attributes:
         space: The functions.
         gradient: Maps degrees of freedom to the control vectors, axis by axis, in the coordinates of the sets.
         costs: What motions cost in each cell.
-        volume: Of each control point.
+        volume: Volume of each control point.
         weight: The integral of each degree of freedom's basis function.
         goal: The value at the goal, in terms of the degrees of freedom.
+        at: The goal, a fraction of the domain.
     """
 
     space: FunctionSpace
     gradient: csr_array
     costs: CellCosts
-    volume: Float[np.ndarray, "controls"]
-    weight: Float[np.ndarray, "dofs"]
-    goal: Float[np.ndarray, "dofs"]
+    volume: PerControl
+    weight: Dofs
+    goal: Dofs
+    at: Float[np.ndarray, "dim"]
+
+    @classmethod
+    def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Numbers) -> "SlopeProgram":
+        """Build the program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
+        home = mesh.locate(goal[None])
+        if mesh.state[home[0]] == CellState.BLOCKED:  # to a tolerance: the goal is free
+            state = mesh.state.copy()
+            state[home] = CellState.MIXED
+            mesh = mesh.with_state(state)
+        mesh = with_open_contacts(mesh, space)
+        mesh = mesh.without(~mesh.connected_to(int(home[0])))
+        # Degree 2 errs far less for its cells, but takes too long in more than two dimensions.
+        functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
+        gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
+        num_controls = len(functions.lattice)
+        volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
+        at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
+        costs = cell_costs(space, cost_map, mesh)
+        return cls(functions, gradient, costs, volume, functions.integrals(), at_goal, goal)
 
     @property
     def dim(self) -> int:
@@ -169,64 +291,71 @@ class SlopeProgram:
         return self.space.mesh.dim
 
     @cached_property
-    def _cell(self) -> Int[np.ndarray, "controls"]:
-        """The cell of each control point."""
-        return np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
-
-    @cached_property
     def sets(self) -> SlopeSets:
         """How steep the functions may be at each control point."""
-        blocks = [axes for axes, _ in self.costs.motion.blocks]
-        pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, self._cell], 2, 1)
-        radius = self.costs.least_at(self.space.lattice, self.space.mesh.open_cells).ravel()
-        return SlopeSets(blocks, radius, pulls)
+        cell = np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
+        pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
+        return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
 
-    @cached_property
-    def doubt(self) -> Float[np.ndarray, "controls"]:
-        """Largest over least cost of a step in each control point's cell."""
-        most = self.costs.most_at(self.space.lattice, self.space.mesh.open_cells).ravel()
-        return most / self.sets.radius
+    def _linear(self, middle: Float[np.ndarray, "cells"]) -> PerControl:
+        """A linear bound of the factor at each control point, from its values in the middle of cells."""
+        cell = self.space.mesh.open_cells
+        return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
-    def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
-        """By what slopes at the control points are too steep, below 1 where they are not."""
-        return self.sets.factors(self.gradients(u))
-
-    def gradients(self, u: Float[np.ndarray, "dofs"]) -> Vectors:
+    def gradients(self, u: Dofs) -> Vectors:
         """The control vectors, in the coordinates of the sets."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
-    def slopes_within(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
-        """Mean control vectors of open cells, as motions that climb the steepest."""
-        return self.mean_gradients(u) / self.costs.motion.scale
-
-    def mean_gradients(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
+    def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
         """Mean control vectors of open cells, in the coordinates of the sets."""
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
-    def at_goal(self, u: Float[np.ndarray, "dofs"]) -> float:
-        """The value at the goal."""
-        return float(self.goal @ u)
-
-    def zero(self) -> "Iterate":
-        """No flow, and 0 everywhere."""
-        return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
-
-    def rescaling(self, u: Float[np.ndarray, "dofs"]) -> Rescaling:
-        """That which makes values, 0 at the goal, satisfy the constraints, rounding included."""
+    def rescaling(self, u: Dofs) -> Rescaling:
+        """Return what makes values, 0 at the goal, satisfy the constraints, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
-        factor = (1 + ROUNDING) * self.slopes(u).reshape(control.shape).max(axis=1)
-        return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
+        factor = (1 + ROUNDING) * self.sets.factors(self.gradients(u)).reshape(control.shape).max(axis=1)
+        return Rescaling.of(control.min(axis=1), control.max(axis=1), factor)
 
-    def solve(self, num_iterations: int, start: "Iterate", factor_at: Sequence[int] = ()) -> "Iterate":
-        """So many iterations from a start, enough to tell where the mesh is too coarse.
+    def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
+        """What the flow through each open cell costs at the most, less what it gains in value; all of it if mixed.
+
+        The sum of the losses is about how far the integral of the function is below that of the cost-to-go.
+        """
+        mesh, num_controls = self.space.mesh, len(self.space.lattice)
+        flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
+        doubt = self._linear(self.costs.most) / self.sets.radius  # largest over least cost of a step
+        cost = (doubt * self.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
+        gain = np.sum(flow * self.mean_gradients(iterate.values), axis=1)
+        gain[mesh.state[mesh.open_cells] == CellState.MIXED] = 0.0
+        return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
+
+    def loss_at_goal(self, iterate: Iterate) -> float:
+        """The loss in the goal's cell if what arrives at its nodes went straight to the goal.
+
+        Where the goal is within a cell, what arrives on one side may leave on the other: such a flow gains as much as
+        it costs, though values behind the goal are as far below 0 as they should be above.
+        """
+        space, mesh = self.space, self.space.mesh
+        home = int(mesh.locate(self.at[None])[0])
+        change = mesh.domain.difference(mesh.domain.width * self.at, mesh.domain.width * space.points)
+        values = iterate.values - self.goal @ iterate.values
+        excess = self.costs.of_motions(change, np.full(len(change), home)) - values
+        within = np.repeat(mesh.open_cells == home, len(space.lattice))
+        climbed = np.sum((iterate.flow * self.gradients(excess))[:, within], axis=0)
+        return float(self.volume[within] @ climbed + self.weight.sum() * (self.goal @ excess))
+
+    def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
+        """Iterate so often from a start, or from 0 everywhere: enough to tell where the mesh is too coarse.
 
         Args:
             num_iterations: Iterations.
-            start: Values and flow to begin with.
+            start: Values and flow to begin with, or None.
             factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
         """
+        if start is None:
+            start = Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
         state = _Splitting(self, start, _LEAST_PENALTY)
         for iteration in range(num_iterations):
             if iteration in factor_at:
@@ -234,28 +363,20 @@ class SlopeProgram:
             state.step()
         return state.iterate
 
-    def solve_thoroughly(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
+    def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
         """The best values that satisfy the constraints, and whether they had stopped rising before the limit."""
         state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
             if iteration % _LOOK_EVERY:
                 continue
-            u = state.u - self.at_goal(state.u)
+            u = state.u - self.goal @ state.u
             value = float(self.weight @ self.rescaling(u)(u))
             if value > (1 + _GAIN) * highest:
                 best, highest, found = state.iterate, value, iteration
             elif iteration >= found + _PATIENCE:
                 return best, True
         return best, False
-
-
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """Values of the degrees of freedom, and the flow at the control points."""
-
-    values: Float[np.ndarray, "dofs"]
-    flow: Flow
 
 
 class _Splitting:
@@ -300,7 +421,7 @@ class _Poisson:
     multigrid go on from a guess, until a share of its residual is left.
     """
 
-    def __init__(self, program: SlopeProgram, penalty: Float[np.ndarray, "controls"]):
+    def __init__(self, program: SlopeProgram, penalty: PerControl):
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         self.matrix = csr_matrix((self.divergence @ program.gradient)[1:, 1:])
@@ -313,9 +434,7 @@ class _Poisson:
                 self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
             ).aspreconditioner()
 
-    def solve(
-        self, load: Float[np.ndarray, "dofs"], field: Flow, guess: Float[np.ndarray, "dofs"]
-    ) -> Float[np.ndarray, "dofs"]:
+    def solve(self, load: Dofs, field: Vectors, guess: Dofs) -> Dofs:
         right = (load + self.divergence @ field.ravel())[1:]
         if self._factors is not None:
             return np.append(0.0, self._factors.solve(right))

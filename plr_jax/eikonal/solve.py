@@ -1,32 +1,41 @@
-"""Straight from a configuration space to a PLR, without an oracle and without a roadmap."""
+"""Straight from a configuration space to a PLR, without an oracle and without a roadmap.
+
+The lower bound is found on meshes that are refined where the flow of the convex program loses most.
+"""
 
 import math
 import warnings
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int, Int8
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_finite_point, require_integer, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.eikonal.bounds import CostToGoField, MeshEstimate, plr_of_bytes, plr_on_mesh
 from plr_jax.eikonal.estimate import MOST_AXES, swept_estimate
-from plr_jax.eikonal.field import CostToGoField, MeshEstimate
-from plr_jax.eikonal.leaves import plr_of_bytes, plr_on_mesh
-from plr_jax.eikonal.lower import SlopeSolver
-from plr_jax.eikonal.mesh import coarse_mesh
-from plr_jax.eikonal.paths import guided_paths, shortest_paths
-from plr_jax.eikonal.sampled_space import SampledSpace
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
+from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_memory
-from plr_jax.spaces import ConfigurationSpace, CostMap, FreeTest, require_space
+from plr_jax.plr.sampling.cell_fit import sample_pattern
+from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
 
-_MAX_CELLS = {1: 2_000, 2: 10_000}
-_MAX_CELLS_BEYOND = 50_000
-_LEAVES_PER_BYTE = 2  # more than any file has
-_BOXES_PER_CELL = 4  # of the grid of the estimate
-_BYTES_A_CELL = {True: 4_000, False: 400}  # of memory at the least, if certified or not
-_LEAST_COST = 1e-30  # below, 32 bits hold no distances
-_BESIDE = 1e-6  # of the domain, by which a goal that is free to a tolerance may be outside
+# Most cells by default, by the number of axes, and beyond.
+_MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
+# More leaves a byte than any file has.
+_LEAVES_PER_BYTE = 2
+# Boxes of the estimate's grid for each cell.
+_BOXES_PER_CELL = 4
+# Bytes of memory a cell at the least, if certified or not.
+_BYTES_A_CELL = {True: 4_000, False: 400}
+# Below this cost, 32 bits hold no distances.
+_LEAST_COST = 1e-30
+# Share of the domain by which a goal that is free to a tolerance may be outside.
+_BESIDE = 1e-6
 
 
 def solve_eikonal(
@@ -111,8 +120,16 @@ def solve_eikonal(
     if certified:
         field = _field(cells, cost_map, at, most, tolerance)
         estimate, proven = field.estimate, field if is_proven else None
-    else:
-        estimate, proven = _swept(cells, cost_map, at, most), None
+    else:  # the estimate alone, on cells that are about equally wide along every axis
+        mesh = coarse_mesh(cells, most, most)
+        costs = swept_estimate(cells, cost_map, at, _BOXES_PER_CELL * most)(mesh.nodes)
+        if not np.isfinite(costs).any():
+            raise ValueError(
+                f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: "
+                "allow more, or leave out certified=False."
+            )
+        is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
+        estimate, proven = MeshEstimate.of_nodes(mesh.without(np.logical_not(is_reached)), costs), None
     largest = float(estimate.corner_values.max())
     if 0 < largest < _LEAST_COST:
         raise ValueError(
@@ -139,31 +156,16 @@ def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
     return np.clip(at, 0.0, 1.0)
 
 
-def _swept(
-    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int
-) -> MeshEstimate:
-    """The estimate alone, on cells that are about equally wide along every axis."""
-    mesh = coarse_mesh(space, space.motion_cost.scale, most, most)
-    costs = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)(mesh.nodes)
-    if not np.isfinite(costs).any():
-        raise ValueError(
-            f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: allow "
-            "more, or leave out certified=False."
-        )
-    is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
-    mesh = mesh.without(np.logical_not(is_reached))
-    return MeshEstimate.of_nodes(mesh, costs)
-
-
 def _field(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int, tolerance: float
 ) -> CostToGoField:
+    """Find bounds of the cost-to-go and an estimate between them, on meshes of at most so many cells."""
     solver = SlopeSolver(space, cost_map, goal, most, tolerance)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
             solver.refine(progress)
         except KeyboardInterrupt:
-            if not solver.has_solution:
+            if solver.iterate is None:
                 raise
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
@@ -177,3 +179,179 @@ def _field(
         guide = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)
         paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(mesh.nodes)
     return CostToGoField(program, solver.values, paths, likely, space)
+
+
+# The first mesh has this share of the cells, but at least two: in one alone, flows to a goal in its middle cancel.
+_COARSEST, _FEWEST = 1 / 16, 2
+# Share of the loss that is in the cells that are refined.
+_SHARE = 0.8
+# If mixed cells have more than this share of the loss, flows leak through walls: then some cells are kept for later,
+# except for the last few.
+_LEAKING, _LAST = 0.1, 0.01
+# Least and most by which a refinement multiplies the number of cells.
+_GROWTH = 1.3, 2.0
+# Iterations on the first mesh, on those after it, and at the end.
+_FIRST, _NEXT, _MOST = 100, 20, 1000
+# Iterations on the first mesh before which the penalties follow the flow.
+_FACTORED_FIRST = (20, 40, 80)
+# A loss counts at most this much more for the way around that it hides.
+_DETOUR = 16
+# Splits along an axis that a query resolves.
+_DEEPEST = 13
+# Share of a cell by which points keep off its faces.
+_INSET = 1e-9
+Point = Float[np.ndarray, "dim"]
+
+
+class SlopeSolver:
+    """The slope program on finer and finer meshes.
+
+    Args:
+        space: What is free.
+        cost_map: A factor of the cost of motions, or None.
+        goal: The goal, a fraction of the domain.
+        max_cells: Most cells.
+        tolerance: Mean loss at which the mesh is fine enough.
+
+    Attributes:
+        program: The program on the finest mesh so far.
+        iterate: Its solution; None before there is one.
+    """
+
+    def __init__(
+        self, space: ConfigurationSpace, cost_map: CostMap | None, goal: Point, max_cells: int, tolerance: float
+    ):
+        self.space, self.cost_map, self.goal = space, cost_map, goal
+        self.max_cells, self.tolerance = max_cells, tolerance
+        mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
+        self.program = SlopeProgram.on(mesh, space, cost_map, goal)
+        self.iterate: Iterate | None = None
+        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # what motions through mixed cells are
+
+    @property
+    def mesh(self) -> Mesh:
+        """The finest mesh so far."""
+        return self.program.space.mesh
+
+    @property
+    def values(self) -> Float[np.ndarray, "dofs"]:
+        """The solution, 0 at the goal."""
+        assert self.iterate is not None
+        return self.iterate.values - self.program.goal @ self.iterate.values
+
+    def refine(self, progress: tqdm) -> None:
+        """Solve, refine where the flow loses most, and solve again, to the limit; then once more, thoroughly."""
+        self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
+        progress.update(len(self.mesh.state))
+        parts = 2**self.mesh.dim - 1  # that one cell becomes more, at the most
+        while True:
+            which, room = self._marked(parts, self.iterate)
+            if not len(which) or room < parts:
+                break
+            coarse = self.mesh
+            finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goal)
+            fine = finer.space.mesh
+            iterate = _prolonged(self.program, self.iterate, finer)
+            progress.update(len(fine.state) - len(coarse.state))
+            if len(fine.state) + parts <= self.max_cells:
+                iterate = finer.solve(_NEXT, iterate)
+            # What motions through cells are, for cells that were there before; MIXED for the others.
+            before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
+            is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
+            self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
+            self.program, self.iterate = finer, iterate
+        self.iterate, has_converged = self.program.solve_thoroughly(self.iterate, _MOST)
+        if not has_converged:
+            warnings.warn(
+                f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
+                "ones may be looser than cells allow. Compare those of another max_leaves.",
+                stacklevel=4,
+            )
+
+    def likely_mesh(self) -> Mesh:
+        """The mesh with mixed cells counted as free if a straight motion through their middle is, else as blocked.
+
+        It goes from face to face the way that paths go: that of the slope, when the cell was new.
+        """
+        mesh = self.mesh
+        mixed = np.flatnonzero(mesh.state == CellState.MIXED)
+        new = mixed[self._through[mixed] == CellState.MIXED]
+        slope = np.zeros((len(mesh.state), mesh.dim))
+        slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
+        lo, hi = (corner[new] for corner in mesh.boxes)
+        share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
+        half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
+        is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
+        self._through[new] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
+        return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
+
+    def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
+        """The cells to be refined, first those that lose most, and how many cells may come of it."""
+        mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
+        loss, at_goal = self.program.losses(iterate), self.program.loss_at_goal(iterate)
+        # 1. In mixed cells across which costs differ more than a motion through them would cost, a thin wall is in
+        #    the way, and what a flow through it loses is the way around: such losses count more.
+        at_corners = graph_costs(self.likely_mesh(), costs, self.goal, self.space)[mesh.corners[mesh.open_cells]]
+        is_reached = np.isfinite(at_corners)
+        highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
+        across = costs.of_motions(mesh.widths[mesh.open_cells], mesh.open_cells)
+        share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
+        is_mixed = mesh.state[mesh.open_cells] == CellState.MIXED
+        loss = np.where(is_mixed, np.clip(share, 1.0, _DETOUR), 1.0) * loss
+        if max(loss.sum(), at_goal) <= self.tolerance * self.program.weight.sum():
+            return np.zeros(0, np.int64), 0
+        # 2. The goal's cell comes first if it hides a loss, then cells by what they lose.
+        is_first = (mesh.open_cells == mesh.locate(self.goal[None])) & (at_goal > loss)
+        order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
+        # 3. Refine most of the loss, but neither too few nor too many cells.
+        enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)
+        fewest, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
+        deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
+        left = self.max_cells - num_cells
+        if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
+            left = int(_SHARE * left)  # where walls are open still, the next flow finds what is open then
+        return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
+
+
+def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> Iterate:
+    """The same function and flow on a finer mesh."""
+    space, mesh = fine.space, coarse.space.mesh
+    size = len(space.lattice)
+    inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
+    x = space.mesh.fractions(space.node_of // size, inset)
+    cell = mesh.locate(x)
+    values = coarse.space.interpolation(cell, mesh.local(cell, x)) @ iterate.values
+    parent = mesh.locate(space.mesh.fractions(space.mesh.open_cells, np.full(mesh.dim, 0.5)))
+    place = np.full(len(mesh.state), 0)
+    place[mesh.open_cells] = np.arange(len(mesh.open_cells))
+    flow = iterate.flow.reshape(coarse.dim, -1, size).mean(axis=2)[:, place[parent]]
+    return Iterate(values, np.repeat(flow, size, axis=1))
+
+
+# Samples of a box, beside the corners and the center, and of a motion.
+_NUM_SAMPLES, _NUM_OF_MOTION = 8, 33
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSpace(CheckedSpace):
+    """A space that only tests configurations: boxes are classified by samples, and nothing is proven."""
+
+    seed: int
+
+    @cached_property
+    def _samples(self) -> Float[np.ndarray, "k dim"]:
+        return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
+
+    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
+        """Free or blocked if all samples are, else mixed."""
+        x = lo[:, None] + (hi - lo)[:, None] * self._samples
+        free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
+        state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
+        return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether all samples of straight motions are."""
+        q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
+        x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
+        free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
+        return np.asarray(free.all(axis=1))

@@ -1,0 +1,344 @@
+"""What is found of the cost-to-go: a proven lower and upper bound, an estimate between them, and the PLR of these.
+
+The PLR has a leaf for each cell of the mesh or, if bytes are limited, leaves of a partition of its own. Then the
+bounds of a leaf are the worst ones of all cells that it meets.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import parts, runs
+from plr_jax.eikonal.elements import basis, to_bernstein
+from plr_jax.eikonal.mesh import Mesh
+from plr_jax.eikonal.paths import NodePaths
+from plr_jax.eikonal.program import ROUNDING, SlopeProgram
+from plr_jax.plr._file import Contents, filled_coefficients
+from plr_jax.plr._plr import PLR, plr_of_leaves
+from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
+from plr_jax.plr.container import frame_size
+from plr_jax.plr.growth.best_first import best_axis, largest_error
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import CornerLeafModel, Rules, check_limits
+from plr_jax.plr.partition.cells import PLACING, Tree, corner_bits, levels_of, tree_of
+from plr_jax.plr.partition.faces import overlapping_leaves
+from plr_jax.plr.sampling.cell_fit import Sampler, least_squares, sample_pattern
+from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
+
+# Boxes bounded at a time, which bounds the memory: beyond five axes each has thousands of places.
+_BOXES_AT_ONCE = 1 << 10
+# The step of stored values, over the mean distance of the bounds, and at least over the largest value.
+_STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
+
+CellIndex: TypeAlias = Int[np.ndarray, "n"]
+Points: TypeAlias = Float[np.ndarray, "n dim"]
+Numbers: TypeAlias = Float[np.ndarray, "n"]
+AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
+CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshEstimate:
+    """An estimate of the cost-to-go on a mesh.
+
+    Attributes:
+        mesh: The cells.
+        corner_values: The estimate at the corners of open cells; 0 at those of blocked ones.
+    """
+
+    mesh: Mesh
+    corner_values: CellCorners
+
+    @classmethod
+    def of_nodes(
+        cls, mesh: Mesh, costs: Float[np.ndarray, "nodes"], above: CellCorners | float = 0.0
+    ) -> "MeshEstimate":
+        """Return an estimate from values at nodes, filled near ``inf``, that is above lower bounds at corners."""
+        node = mesh.corners[mesh.open_cells]
+        lower = np.broadcast_to(above, mesh.corners.shape)[mesh.open_cells]
+        excess = np.maximum(costs[node] - lower, 0.0)
+        values = np.zeros(mesh.corners.shape)
+        values[mesh.open_cells] = lower + _filled(np.where(np.isfinite(excess), excess, np.nan), node)
+        return cls(mesh, values)
+
+    def __call__(self, x: Points) -> Numbers:
+        """The estimate at points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
+        mesh = self.mesh
+        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
+        cell = mesh.locate(at)
+        values = np.sum(basis(1, np.clip(mesh.local(cell, at), 0, 1)) * self.corner_values[cell], axis=1)
+        return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
+
+
+@dataclass(frozen=True, eq=False)
+class CostToGoField:
+    """A proven lower bound of the cost-to-go on a mesh, a proven upper one, and an estimate between them.
+
+    Attributes:
+        program: The program whose solution bounds the cost-to-go from below.
+        values: That solution, 0 at the goal; its slopes may be a little too steep.
+        paths: The paths that bound the cost-to-go from above.
+        likely: An estimate at the nodes of the mesh; ``inf`` where there is none.
+        space: The configuration space.
+    """
+
+    program: SlopeProgram
+    values: Float[np.ndarray, "dofs"]
+    paths: NodePaths
+    likely: Float[np.ndarray, "nodes"]
+    space: ConfigurationSpace
+
+    @property
+    def mesh(self) -> Mesh:
+        """The cells."""
+        return self.program.space.mesh
+
+    @cached_property
+    def _nodal(self) -> Float[np.ndarray, "cells nodes"]:
+        """Values at the nodes of each cell."""
+        return (self.program.space.values @ self.values).reshape(len(self.mesh.state), -1)
+
+    @cached_property
+    def _rescaling(self):
+        return self.program.rescaling(self.values)
+
+    def lower_at(self, cell: CellIndex, t: Points) -> Numbers:
+        """The lower bound at points ``t``, from 0 to 1, of cells, except for rounding."""
+        return self._rescaling(np.sum(basis(self.program.space.degree, t) * self._nodal[cell], axis=1))
+
+    @cached_property
+    def _lower_at_corners(self) -> CellCorners:
+        num, corners = len(self.mesh.state), corner_bits(self.mesh.dim)
+        at = np.tile(corners.astype(float), (num, 1))
+        return self.lower_at(np.repeat(np.arange(num), len(corners)), at).reshape(num, -1)
+
+    @cached_property
+    def _corner_costs(self) -> CellCorners:
+        """The cost of a path from each corner of open cells; ``inf`` where there is none."""
+        is_open = self.mesh.state != CellState.BLOCKED
+        return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
+
+    @cached_property
+    def estimate(self) -> MeshEstimate:
+        """The estimate, within the bounds; where there is none, as far above the lower one as near by."""
+        estimate = MeshEstimate.of_nodes(self.mesh, self.likely, self._lower_at_corners)
+        return MeshEstimate(self.mesh, np.minimum(estimate.corner_values, self.paths.cost[self.mesh.corners]))
+
+    @property
+    def mean_gap(self) -> float:
+        """Mean distance of the bounds at the corners of cells that have both."""
+        known = np.isfinite(self._corner_costs)
+        return float((self._corner_costs - self._lower_at_corners)[known].mean()) if known.any() else 0.0
+
+    def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
+        """Bounds of the cost-to-go minus multilinear functions over boxes in open cells.
+
+        They also hold for points beside a box that a query may place in it, if the function is evaluated at the
+        nearest point of the box.
+
+        Args:
+            cell: The cell of each box.
+            lo: Its lower corner in the cell, from 0 to 1.
+            hi: Its upper corner.
+            corners: The function's values at the box's corners.
+
+        Returns:
+            Lower bounds, and upper ones: ``inf`` where no path is known from all free points of the box.
+        """
+        below, above = np.empty(len(cell)), np.empty(len(cell))
+        for some in parts(np.ones(len(cell), np.int64), _BOXES_AT_ONCE):
+            below[some] = self._lowest(cell[some], lo[some], hi[some], corners[some])
+            above[some] = self._highest(cell[some], lo[some], hi[some], corners[some])
+        return below, above
+
+    def _lowest(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> Numbers:
+        space = self.program.space
+        lattice = space.lattice
+        at = lo[:, None] + (hi - lo)[:, None] * lattice
+        weights = basis(space.degree, at.reshape(-1, self.mesh.dim)).reshape(*at.shape[:2], -1)
+        control = np.einsum("nij,nj->ni", weights, self._nodal[cell]) @ to_bernstein(space.degree, self.mesh.dim).T
+        function = corners @ basis(1, lattice).T
+        highest = control.max(axis=1)
+        bent = self._rescaling(highest) - highest  # most where the value is largest
+        return (control - function).min(axis=1) + bent - self._spare[cell]
+
+    def _highest(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> Numbers:
+        """By straight motions to corners of the cell, whose costs are convex: the most is at a vertex of a part."""
+        mesh, dim = self.mesh, self.mesh.dim
+        lattice = np.array(list(product((0.0, 0.5, 1.0), repeat=dim)))
+        middles = 0.25 + corner_bits(dim) / 2
+        vertices = np.stack([np.flatnonzero(np.all(np.abs(lattice - middle) <= 0.25, axis=1)) for middle in middles])
+        at = lo[:, None] + (hi - lo)[:, None] * lattice
+        function = corners @ basis(1, lattice).T
+        most = np.full((len(cell), len(vertices)), np.inf)
+        for corner, place in enumerate(corner_bits(dim)):
+            change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
+            straight = self.program.costs.of_motions(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
+            above = self._corner_costs[cell, corner, None] + straight - function
+            above[~self._sees[cell, corner]] = np.inf
+            most = np.minimum(most, above[:, vertices].max(axis=2))
+        x = mesh.fractions(cell[:, None], at)
+        for target in self._targets[:, cell]:
+            change = (self.paths.points[target, None] - x) * mesh.domain.width
+            straight = self.program.costs.motion.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
+            above = self.paths.cost[target, None] + straight - function
+            above[target < 0] = np.inf
+            most = np.minimum(most, above[:, vertices].max(axis=2))
+        return most.max(axis=1) + self._spare[cell]
+
+    @cached_property
+    def _targets(self) -> Int[np.ndarray, "targets cells"]:
+        """Nodes on the way from corners of cells, or the goal, that are seen from everywhere in a cell; -1 for none.
+
+        They are if a box that holds both is free.
+        """
+        mesh, paths = self.mesh, self.paths
+        if self.program.costs.cost_map is not None:
+            return np.full((0, len(mesh.state)), -1)
+        cells, costs = np.arange(len(mesh.state)), self._corner_costs
+        nearest, farthest = (mesh.corners[cells, corner] for corner in (costs.argmin(axis=1), costs.argmax(axis=1)))
+        ahead = paths.next[nearest]
+        target = np.stack([ahead, paths.next[ahead], paths.next[farthest]])
+        free = np.flatnonzero(np.isfinite(costs).any(axis=1) & (mesh.state == CellState.FREE))
+        place = mesh.domain.at(paths.points[target[:, free]])
+        lo, hi = (np.broadcast_to(end[free], place.shape) for end in mesh.grown_boxes)
+        hull = np.minimum(lo, place).reshape(-1, mesh.dim), np.maximum(hi, place).reshape(-1, mesh.dim)
+        sees = (self.space.classify(*hull) == CellState.FREE).reshape(3, -1)
+        seen = np.full_like(target, -1)
+        seen[:, free] = np.where(sees, target[:, free], -1)
+        return seen
+
+    @cached_property
+    def _spare(self) -> Float[np.ndarray, "cells"]:
+        """A margin for rounding, and for the way to each cell from a point beside it that a query places in it."""
+        costs, beside = self.program.costs, PLACING * self.mesh.domain.width
+        way = costs.motion.norm(beside[None]) * costs.upper
+        if costs.pulls is not None:
+            way = way + (np.abs(costs.pulls) @ beside).max(axis=0)
+        return ROUNDING * np.abs(self._nodal).max() + way
+
+    @cached_property
+    def _sees(self) -> Bool[np.ndarray, "cells corners"]:
+        """Whether a straight motion to a corner is free from all free points that a query may place in a cell."""
+        mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
+        free = np.flatnonzero(mesh.state == CellState.FREE)
+        is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
+        is_clear[~is_clear] = self._are_clear_beside(free[~is_clear])
+        sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
+        sees[free[is_clear]] = True
+        if isinstance(self.space, SeesBoxes):
+            cell, corner = np.nonzero(np.isfinite(self._corner_costs) & ~sees)
+            q = np.stack(mesh.boxes)[corner_bits(mesh.dim)[corner], cell[:, None], np.arange(mesh.dim)]
+            sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
+        return sees
+
+    def _are_clear_beside(self, cell: CellIndex) -> Bool[np.ndarray, "n"]:
+        """Whether beside free cells, where a query may place points in them, each part is free or blocked.
+
+        From a free part the shortest motion to the cell is free; beside a wall that is flush with the cell, the other
+        parts are blocked.
+        """
+        (lo, hi), (first, last) = self.mesh.boxes, self.mesh.grown_boxes
+        ends, axes = np.stack([first, lo, hi, last])[:, cell], np.arange(self.mesh.dim)
+        clear = np.ones(len(cell), bool)
+        for part in product(range(3), repeat=self.mesh.dim):
+            begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
+            some = np.flatnonzero((begin < end).all(axis=1))  # at the border of the domain there is nothing beside
+            clear[some] &= self.space.classify(begin[some], end[some]) != CellState.MIXED
+        return clear
+
+
+def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:
+    """Fill unknown values (NaN) at the nodes of cells from the known ones of their cells, cell by cell outward."""
+    values, num = values.copy(), int(node.max()) + 1
+    while True:
+        known = np.isfinite(values)
+        count = known.sum(axis=1, keepdims=True)
+        near = np.where(known, values, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+        use = ~known & (count > 0)
+        if not use.any():
+            return np.where(known, values, 0.0)
+        total = np.bincount(node[use], np.broadcast_to(near, values.shape)[use], num)
+        weight = np.bincount(node[use], minlength=num)
+        fill = np.divide(total, weight, out=np.full(num, np.nan), where=weight > 0)
+        values = np.where(known, values, fill[node])
+
+
+def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
+    """One leaf a cell of the mesh: estimates at corners, tied across open faces; None if the file is too large."""
+    mesh, model = estimate.mesh, _model()
+    closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
+    step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
+    step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
+    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, step)
+    contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
+    plr = plr_of_leaves(contents)
+    if field is not None and plr.num_bytes <= max_bytes:
+        plr = plr_of_leaves(_with_proof(contents, mesh.tree, field))
+    return plr if plr.num_bytes <= max_bytes else None
+
+
+def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
+    """The best partition whose file has at most so many bytes, grown from the estimate."""
+    model, domain = _model(), estimate.mesh.domain
+    proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
+    limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain))
+    pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
+    sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
+    cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
+    contents = Contents(domain, model, levels_of(cells)[0], cells, stored)
+    return plr_of_leaves(contents if field is None else _with_proof(contents, tree_of(cells), field))
+
+
+def _model() -> CornerLeafModel:
+    model = leaf_model("continuous")
+    assert isinstance(model, CornerLeafModel)
+    return model
+
+
+def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Contents:
+    """Add bounds to each leaf, over all cells of the mesh that meet it."""
+    mesh, cells, num_leaves, corners = field.mesh, contents.cells, len(contents.cells), corner_bits(field.mesh.dim)
+    # 1. Pairs of a leaf and a cell that it meets, and the open cell that bounds the cost-to-go of free points placed
+    #    in both: the cell itself or, of a cell that is flush with open cells, each of these, at what they share.
+    leaf, cell = overlapping_leaves(tree, mesh.tree)
+    order = np.argsort(cell, kind="stable")
+    flush, beside = mesh.flush_pairs
+    first, last = (np.searchsorted(cell[order], flush, side=side) for side in ("left", "right"))
+    pair, place = runs(last - first)
+    is_open = mesh.state[cell] != CellState.BLOCKED
+    own, others = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
+    leaf = np.append(own[0], others)
+    within, cell = np.append(own[1], flush[pair]), np.append(own[1], beside[pair])
+    # 2. The boxes that they have in common, and the leaf's function at their corners.
+    lo, hi, turn = mesh.shared_boxes(within, cell)
+    position, depth = cells.position[leaf], cells.depth[leaf]
+    lo, hi = np.maximum(lo, np.ldexp(position, -depth)), np.minimum(hi, np.ldexp(position + 1.0, -depth))
+    meet = (lo <= hi).all(axis=1)
+    leaf, cell, turn, lo, hi = (each[meet] for each in (leaf, cell, turn, lo, hi))
+    coefficients = filled_coefficients(contents)
+    if np.isinf(coefficients[leaf, 0]).any():
+        raise ValueError(
+            "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
+            "reach the goal. Allow more max_bytes, or leave it out."
+        )
+    coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
+    at = lo[:, None] + (hi - lo)[:, None] * corners
+    t = np.ldexp(at, cells.depth[leaf][:, None]) - cells.position[leaf][:, None]
+    weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
+    values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
+    # 3. The worst bounds of each leaf, and how far its function changes to where a query may place points in it.
+    below, above = field.bounds_over(cell, mesh.local(cell, lo + turn), mesh.local(cell, hi + turn), values)
+    lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
+    np.minimum.at(lower, leaf, below)
+    np.maximum.at(upper, leaf, above)
+    beside = PLACING * np.ldexp(1.0, cells.depth)
+    across = [np.abs(coefficients[:, bits == 1] - coefficients[:, bits == 0]).max(axis=1) for bits in corners.T]
+    changes = np.sum(beside * np.stack(across, axis=1), axis=1) * np.prod(1 + 2 * beside, axis=1)
+    rounding = contents.leaf.rounding(contents.domain, cells, coefficients) + changes
+    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
+    return Contents(contents.domain, contents.leaf, contents.levels, cells, contents.stored, certificate)
