@@ -78,7 +78,11 @@ class PlanarArm:
         if clearance < width / 2 - workspace.tolerance:
             has_no_room = f"has no room for links of width {width:g}: its clearance is {clearance:.3g}"
             raise ValueError(f"The base of the arm at {base.tolist()} {has_no_room}.")
-        vars(self).update(workspace=workspace, lengths=lengths, base=base, width=width, self_collision=self_collision)
+        object.__setattr__(self, "workspace", workspace)
+        object.__setattr__(self, "lengths", lengths)
+        object.__setattr__(self, "base", base)
+        object.__setattr__(self, "width", width)
+        object.__setattr__(self, "self_collision", self_collision)
 
     @property
     def dof(self) -> int:

@@ -94,7 +94,10 @@ class ClearanceSpace:
                 f"motion_cost must be a MotionCost of {domain.dim} axes, as the domain has, got "
                 f"{shortened(motion_cost)}."
             )
-        vars(self).update(domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
+        object.__setattr__(self, "domain", domain)
+        object.__setattr__(self, "clearance", clearance)
+        object.__setattr__(self, "lipschitz", lipschitz)
+        object.__setattr__(self, "motion_cost", motion_cost)
         self._clearances(domain.lo[None])  # so that a function of something else is refused at once
 
     @property

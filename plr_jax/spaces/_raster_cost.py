@@ -1,4 +1,7 @@
-"""Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it."""
+"""Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it.
+
+Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around what is blocked.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -6,15 +9,23 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
+from scipy import ndimage
 
-from plr_jax._arrays import as_numbers, as_points, shortened, with_inf_for_masked
+from plr_jax._arrays import (
+    as_bool,
+    as_finite,
+    as_numbers,
+    as_points,
+    parts,
+    runs,
+    shortened,
+    with_inf_for_masked,
+)
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.spaces._costmap_2d import costmap_factors, grid_costs, inflated_factors, with_nearest_factors
 from plr_jax.spaces._costs import Rates, Vectors
 from plr_jax.spaces._space import as_boxes
-from plr_jax.spaces._sparse_table import SparseTable
 from plr_jax.spaces._voxels import VoxelSpace
 
 _MOST_AXES = 4
@@ -25,6 +36,19 @@ _MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes 
 # What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
 # times what the few operations of each amount to. All of an interpolation's terms are positive.
 _OF_PLACES, _OF_FACTORS = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+# Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the values
+# that tell of them in the occupancy grids in which Nav2 and ROS publish cost maps.
+_DEAREST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
+_GRID_UNKNOWN, _GRID_DEAREST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
+# Entries of all windows of a sparse table, 256 MiB; where there would be more, large blocks take more windows.
+_MOST_ENTRIES = 2**26
+# Windows that are looked up at a time.
+_WINDOWS_AT_ONCE = 2**18
+
+Raster = Float[np.ndarray, "..."]
+Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
+Extremes = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+Entries = Int[np.ndarray, "n rank"]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -85,7 +109,9 @@ class RasterCost:
         if np.isinf(factors).all():
             raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} that all are.")
         factors.flags.writeable = False
-        vars(self).update(values=factors, domain=domain, interpolation=interpolation)
+        object.__setattr__(self, "values", factors)
+        object.__setattr__(self, "domain", domain)
+        object.__setattr__(self, "interpolation", interpolation)
 
     @classmethod
     def from_costmap(
@@ -117,7 +143,13 @@ class RasterCost:
         Raises:
             ValueError: If the values are not from 0 to 255, or as for the class.
         """
-        return cls(costmap_factors(values, cost_travel_multiplier, unknown_is_free), bounds, interpolation)
+        multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
+        costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; of an OccupancyGrid use from_occupancy_grid")
+        factors = 1 + multiplier * np.minimum(costs, _DEAREST) / _DEAREST
+        blocked = costs >= _INSCRIBED
+        if as_bool("unknown_is_free", unknown_is_free):
+            blocked &= costs < _UNKNOWN
+        return cls(np.where(blocked, np.inf, factors), bounds, interpolation)
 
     @classmethod
     def from_occupancy_grid(
@@ -145,8 +177,18 @@ class RasterCost:
         Raises:
             ValueError: If the values are not from -1 to 100, or as for the class.
         """
-        factors = costmap_factors(grid_costs(values), cost_travel_multiplier, unknown_is_free)
-        return cls(factors, bounds, interpolation)
+        grid = _in_range(values, _GRID_UNKNOWN, _GRID_LETHAL, "an OccupancyGrid's values; of bytes use from_costmap")
+        costs = np.interp(grid, (0, 1, _GRID_DEAREST), (0, 1, _DEAREST))
+        costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
+        costs[grid >= _GRID_LETHAL] = _LETHAL
+        costs[grid < 0] = _UNKNOWN
+        return cls.from_costmap(
+            costs,
+            bounds,
+            cost_travel_multiplier=cost_travel_multiplier,
+            unknown_is_free=unknown_is_free,
+            interpolation=interpolation,
+        )
 
     def inflated(
         self,
@@ -178,8 +220,17 @@ class RasterCost:
         References:
             https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
-        radii = inscribed_radius, inflation_radius
-        factors = inflated_factors(self.values, *self._cells, *radii, cost_scaling_factor, cost_travel_multiplier)
+        inscribed = as_finite("inscribed_radius", inscribed_radius)
+        reach = as_finite("inflation_radius", inflation_radius)
+        scaling = as_finite("cost_scaling_factor", cost_scaling_factor)
+        multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
+        if self.free.all():
+            return self
+        around, middle = self._periods(self.free)
+        distance: Any = ndimage.distance_transform_edt(around, sampling=self._sides)
+        distance = distance[middle]
+        share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
+        factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
         return RasterCost(factors, self.domain, self.interpolation)
 
     def __repr__(self) -> str:
@@ -328,18 +379,121 @@ class RasterCost:
         return np.array(self.values.shape[::-1], np.float64)
 
     @property
-    def _cells(self) -> tuple[Float[np.ndarray, "dim"], tuple[bool, ...]]:
-        """Sides of a cell along the raster's axes, and which of these are periodic."""
-        return (self.domain.width / self._sizes)[::-1], self.domain.periodic[::-1]
+    def _sides(self) -> Float[np.ndarray, "dim"]:
+        """Sides of a cell along the raster's axes."""
+        return (self.domain.width / self._sizes)[::-1]
+
+    def _periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
+        """Three periods of cells along periodic axes, and where the middle one is."""
+        wraps = self.domain.periodic[::-1]
+        sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
+        middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
+        return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
 
     @cached_property
     def _nodes(self) -> Float[np.ndarray, "..."]:
         """Factors in the order of coordinates, those of blocked cells filled."""
-        return np.ascontiguousarray(with_nearest_factors(self.values, *self._cells).T)
+        factors = self.values
+        if not self.free.all():
+            around, middle = self._periods(~self.free)
+            nearest: Any = ndimage.distance_transform_edt(
+                around, sampling=self._sides, return_distances=False, return_indices=True
+            )
+            factors = factors[tuple(at[middle] % size for at, size in zip(nearest, factors.shape, strict=True))]
+        return np.ascontiguousarray(factors.T)
 
     @cached_property
-    def _table(self) -> SparseTable:
+    def _table(self) -> "SparseTable":
         """Extremes of blocks of cells; around periodic axes, of two periods."""
         axes = zip(self._nodes.shape, self.domain.periodic, strict=True)
         more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
         return SparseTable(np.pad(self._nodes, more, mode="wrap") if self.domain.is_periodic else self._nodes)
+
+
+def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
+    expected = f"numbers from {least} to {most}, {what}"
+    numbers = as_numbers("values", values, expected)
+    wrong = ~((numbers >= least) & (numbers <= most))
+    if wrong.any():
+        raise ValueError(f"values must be {expected}, got {shortened(numbers[wrong][0].item())}.")
+    return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class SparseTable:
+    """Extremes of blocks of an array of any rank, each the union of a few windows whose sides are powers of two.
+
+    Of every place the table has the least and the largest entry in the window of each side that begins there, in 32
+    bits, rounded outward. A block about as wide along every axis is covered by two windows an axis, a long one by
+    more. Along an axis that is shorter than a window's side, the window is as long as the axis.
+
+    Args:
+        values: The entries, finite, of a size that 32 bits can tell.
+
+    References:
+        Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    """
+
+    values: Raster
+
+    def extremes(self, first: Entries, last: Entries) -> Extremes:
+        """The least and the largest entry of blocks.
+
+        Args:
+            first: Their first entries along each axis, ``(n, rank)``.
+            last: Their last ones, which count as well.
+
+        Returns:
+            The extremes, ``(n,)`` each: exact of entries that 32 bits hold, else up to a rounding outward.
+        """
+        least, most = np.empty(len(first)), np.empty(len(first))
+        sides = np.array([side for side, _, _ in self._levels])
+        level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
+        for each in np.unique(level):
+            blocks = np.flatnonzero(level == each)
+            counts = -(-(last - first + 1)[blocks] // sides[each])
+            for part in parts(counts.prod(axis=1), _WINDOWS_AT_ONCE):
+                which = blocks[part]
+                least[which], most[which] = self._covered(int(each), first[which], last[which], counts[part])
+        return least, most
+
+    def _covered(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
+        """Extremes of blocks that are covered by so many windows of one level along each axis."""
+        side, least, most = self._levels[level]
+        totals = counts.prod(axis=1)
+        block, rest = runs(totals)
+        begin = np.empty((len(block), counts.shape[1]), np.intp)
+        for axis in range(counts.shape[1]):
+            rest, step = np.divmod(rest, counts[block, axis])
+            begin[:, axis] = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
+        window = np.ravel_multi_index(tuple(begin.T), least.shape)
+        starts = np.cumsum(totals) - totals
+        return np.minimum.reduceat(least.take(window), starts), np.maximum.reduceat(most.take(window), starts)
+
+    @cached_property
+    def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
+        """Sides of windows, and the least and the largest entry of those that begin at each place."""
+        shape = np.array(self.values.shape)
+        side, least, most = np.ones_like(shape), _rounded(self.values, -np.inf), _rounded(self.values, np.inf)
+        levels, entries = [(side, self.values, self.values)], 0
+        while (side < shape).any() and entries < _MOST_ENTRIES:
+            step = np.minimum(side, shape - side)
+            least, most = _joined(np.minimum, least, step), _joined(np.maximum, most, step)
+            side, entries = side + step, entries + 2 * least.size
+            levels.append((side, least, most))
+        return levels
+
+
+def _joined(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
+    """Extremes of windows that are longer by a step along each axis, of two that overlap or touch."""
+    for axis in np.flatnonzero(step):
+        along = np.moveaxis(windows, axis, 0)
+        windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)
+    return np.ascontiguousarray(windows)
+
+
+def _rounded(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
+    """Numbers in 32 bits, none moved but toward one side."""
+    single = values.astype(np.float32)
+    wrong = single < values if toward > 0 else single > values
+    return np.where(wrong, np.nextafter(single, np.float32(toward)), single)

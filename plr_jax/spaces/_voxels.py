@@ -50,7 +50,8 @@ class VoxelSpace:
     radius: float
 
     def __init__(self, free: ArrayLike, bounds: Box | ArrayLike | None = None, radius: float | int = 0.0):
-        vars(self).update(grid=VoxelGrid.of(free, bounds), radius=as_finite("radius", radius))
+        object.__setattr__(self, "grid", VoxelGrid.of(free, bounds))
+        object.__setattr__(self, "radius", as_finite("radius", radius))
         if 0 < self.radius < _LEAST_RADIUS * self.tolerance:
             raise ValueError(
                 f"radius must be 0, for a point, or at least {_LEAST_RADIUS * self.tolerance:.2g} in {self.domain}, "

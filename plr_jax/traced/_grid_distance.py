@@ -11,9 +11,7 @@ from jaxtyping import Array, Bool, Float
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MOST_CORNERS, CornerPairs, CornerPaths, convex_corners, places
-from plr_jax.traced.bits import Mask
-from plr_jax.traced.sight import Points
-from plr_jax.traced.steps import MOST_CELLS, StepPairs, Steps
+from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
 
@@ -39,7 +37,7 @@ class GridDistance:
     def cells(self) -> Float[Array, "h w"]:
         """Distances of the centers of all cells, found when they are asked for."""
         h, w = self.shape
-        return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, _cells(self.paths)[:h, :w])
+        return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
 
     @property
     def is_complete(self) -> Bool[Array, ""]:
@@ -182,31 +180,20 @@ def grid_distance(
 @partial(jax.jit, static_argnames=("moves", "count"))
 def _paths(free: Mask, goal: Float[Array, "2"], moves: Moves, count: int) -> Steps | CornerPaths:
     if moves == "any-angle":
-        return CornerPaths.to(convex_corners(_with_corners(free), count), goal)
+        return CornerPaths.to(convex_corners(free, count), goal)
     return Steps.to(free, goal, moves)
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
 def _pairs(free: Mask, moves: Moves, count: int) -> StepPairs | CornerPairs:
     if moves == "any-angle":
-        return CornerPairs.of(convex_corners(_with_corners(free), count))
+        return CornerPairs.of(convex_corners(free, count))
     return StepPairs.of(free, moves)
 
 
 @jax.jit
 def _distance(paths: Any, *points: Points) -> Float[Array, "*batch"]:
     return paths.distance(*(x.reshape(-1, 2) for x in points)).reshape(points[0].shape[:-1])
-
-
-@jax.jit
-def _cells(paths: Steps | CornerPaths) -> Float[Array, "h w"]:
-    return paths.cells()
-
-
-def _with_corners(free: Mask) -> Bool[Array, "rows columns"]:
-    """A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked."""
-    h, w = free.shape
-    return jnp.pad(free, ((0, int(h == 1)), (0, int(w == 1))))
 
 
 def _as_mask(free: ArrayLike) -> Mask:
@@ -232,11 +219,7 @@ def _as_points(name: str, value: ArrayLike) -> Points:
             f"{name} must be real numbers of shape (..., 2), got {points.dtype} of shape {points.shape}."
         )
     is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
-    return points if is_wide else points.astype(_default_float())
-
-
-def _default_float() -> Any:
-    return jnp.zeros(()).dtype
+    return points if is_wide else points.astype(jnp.zeros(()).dtype)  # the default
 
 
 def _finite(x: Points) -> Points:

@@ -1,33 +1,137 @@
-"""Lengths of shortest paths among the blocked cells of a traced grid, which bend at convex corners of these."""
+"""Lengths of shortest paths among the blocked cells of a traced grid, which bend at convex corners of blocked cells.
 
+First, which points see each other: cells that straight segments cross, row by row, as bits. Segments run between
+points inside free cells, which are kept :func:`margin` from the sides of these cells, and count as crossing what they
+pass within a fourth of that margin. So a segment that grazes a corner of a blocked cell may count as crossing it: a
+path by way of that corner is as long. None passes where two blocked cells touch. For ends that do not depend on the
+map, centers and corners of cells, the bits are found once, on the host. Then, shortest paths from corner to corner.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int32
+from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.bits import Mask, Shape, packed
-from plr_jax.traced.sight import (
-    Broadcast,
-    Ends,
-    cell_centers,
-    crossed_cells,
-    crosses_nothing,
-    flat_words,
-    inside_free_cells,
-    lattice,
-    margin,
-    sees_between,
-    towards,
-)
+from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, free_cells, packed
 
+Broadcast = Float[Array, "*#batch 2"]
+Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12
 """Corners whose lengths take 64 megabytes."""
 _ALL_KEPT = 2**8
+
+
+def margin(shape: Shape, dtype: Any) -> float:
+    """How far points are kept from the sides of cells: 32 units in the last place of the largest coordinate."""
+    return 32 * float(jnp.finfo(dtype).eps) * max(shape)
+
+
+def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
+    """Points moved inside each of their two free cells, and whether there are any."""
+    *cells, is_free = free_cells(free, x)
+    cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
+    inset = margin(free.shape, x.dtype)
+    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_free
+
+
+def crosses_nothing(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
+    """Whether segments between points, both inside free cells, cross no blocked cell."""
+    hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
+    for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
+        first, last = first.astype(jnp.int32), last.astype(jnp.int32)
+        in_row = jnp.zeros((), jnp.uint32)
+        for word in range(blocked.shape[1]):
+            begin, end = first - WORD * word, last - WORD * word
+            from_first = every << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
+            ones = from_first & (every >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
+            if blocked.shape[1] > 1:  # ends may lie beyond the word
+                ones = jnp.where((begin < WORD) & (end >= 0), ones, jnp.uint32(0))
+            in_row |= blocked[row, word] & ones
+        hit |= jnp.where(is_crossed, in_row, jnp.uint32(0))
+    return hit == 0
+
+
+def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
+    """Of each row the first and last column that segments cross there, and whether they cross the row at all.
+
+    With NumPy or with JAX as ``xp``; no end may lie on a line between rows.
+    """
+    h, w = shape
+    (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
+    dx, dy = x1 - x0, y1 - y0
+    # Level segments cross the row they are in with all their length: any steep enough slope says so.
+    inverse = 1 / xp.where(dy == 0, 1e-30, dy)
+    at, x_at = xp.clip(-y0 * inverse, 0, 1), None
+    x_at = x0 + dx * at
+    for row in range(h):
+        until = xp.clip((row + 1 - y0) * inverse, 0, 1)
+        x_until = x0 + dx * until
+        first = xp.clip(xp.floor(xp.minimum(x_at, x_until) - slack), 0, w - 1)
+        last = xp.clip(xp.floor(xp.maximum(x_at, x_until) + slack), 0, w - 1)
+        yield first, last, at != until
+        at, x_at = until, x_until
+
+
+# Ends that do not depend on the map.
+
+
+def sees_between(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
+    """Whether the segments of a table cross no blocked cell."""
+    hit = jnp.zeros((), jnp.uint32)
+    for crossed, word in zip(table, blocked, strict=True):
+        hit |= crossed & word
+    return hit == 0
+
+
+@lru_cache(maxsize=8)
+def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
+    """The corners of cells that are inside the grid, row by row."""
+    rows, columns = np.mgrid[1 : shape[0], 1 : shape[1]].reshape(2, -1)
+    return np.stack([columns, rows], axis=1).astype(float)
+
+
+def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
+    """The centers of cells, row by row."""
+    rows, columns = np.indices(shape).reshape(2, -1)
+    return np.stack([columns, rows], axis=1) + 0.5
+
+
+@lru_cache(maxsize=16)
+def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
+    """Cells that segments cross from each corner of a cell, or center of one, to each corner, as bits.
+
+    Where a segment passes through a corner, it counts as crossing all four cells: if one is blocked, a path by way
+    of that corner is as long, and if two are, none passes. A segment along a line of the grid counts as running on
+    its left: two corners see each other if one of both ways is free, or by way of one where free sides change.
+    """
+    a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
+    along = b - a
+    left = np.where((along == 0).any(axis=-1, keepdims=True), along[..., ::-1] * [-1, 1], 0)
+    nudge = 1e-3 / max(shape)
+    a, b = a + nudge * (along + left), b - nudge * (along - left)
+    bits = np.zeros((*along.shape[:2], *shape), bool)
+    for row, (first, last, is_crossed) in enumerate(_columns(np, shape, nudge / 1e3, a, b)):
+        column = np.arange(shape[1])
+        bits[:, :, row] = (first[..., None] <= column) & (column <= last[..., None]) & is_crossed[..., None]
+    flat = bits.reshape(*along.shape[:2], -1)
+    flat = np.pad(flat, ((0, 0), (0, 0), (0, -flat.shape[2] % WORD)))
+    words = np.packbits(flat, axis=2, bitorder="little").view("<u4")
+    return np.ascontiguousarray(np.moveaxis(words, 2, 0)).astype(np.uint32)
+
+
+def _towards(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
+    """Of both the one on the side of other points."""
+    first, second = ends[..., 0, :], ends[..., 1, :]
+    is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
+    return jnp.where(is_second[..., None], second, first)
 
 
 @jax.tree_util.register_dataclass
@@ -50,7 +154,7 @@ class Corners:
     @property
     def _is_lattice(self) -> bool:
         """Whether every corner inside the grid has its place: what segments between them cross is then in a table."""
-        return len(self.index) == _num_inside(self.free.shape) <= _ALL_KEPT
+        return len(self.index) == len(lattice(self.free.shape)) <= _ALL_KEPT
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Where they are."""
@@ -73,25 +177,25 @@ class Corners:
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, "n"]:
         """Whether points, moved inside free cells, see each other."""
         return crosses_nothing(
-            packed(~self.free), self.free.shape, towards(a, b.mean(axis=-2)), towards(b, a.mean(axis=-2))
+            packed(~self.free), self.free.shape, _towards(a, b.mean(axis=-2)), _towards(b, a.mean(axis=-2))
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
         """Which places are seen from points, moved inside free cells, if they hold a convex corner."""
         corners = self._pulled(ends.dtype)[None]
-        return crosses_nothing(packed(~self.free), self.free.shape, towards(ends[:, None], corners), corners)
+        return crosses_nothing(packed(~self.free), self.free.shape, _towards(ends[:, None], corners), corners)
 
     def seen_from_centers(self, dtype: jnp.dtype) -> Bool[Array, "cells corners"]:
         """Which places are seen from the centers of cells, row by row, if they hold a convex corner."""
         if self._is_lattice:
             table = crossed_cells(self.free.shape, from_centers=True)
-            return sees_between(table, flat_words(~self.free))
+            return sees_between(table, packed(~self.free.reshape(1, -1))[0])
         return self.seen_from(inside_free_cells(self.free, jnp.asarray(cell_centers(self.free.shape), dtype))[0])
 
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
         """Between those that see each other the length of the segment, else ``inf``."""
         if self._is_lattice:
-            left, blocked = crossed_cells(self.free.shape, from_centers=False), flat_words(~self.free)
+            left, blocked = crossed_cells(self.free.shape, from_centers=False), packed(~self.free.reshape(1, -1))[0]
             seen = sees_between(left, blocked) | sees_between(left.swapaxes(1, 2), blocked)
         else:
             pulled = self._pulled(dtype)
@@ -101,18 +205,16 @@ class Corners:
         return jnp.where(seen, distance(points[:, None], points[None]), jnp.inf)
 
 
-def _num_inside(shape: Shape) -> int:
-    return (shape[0] - 1) * (shape[1] - 1)
-
-
 def places(shape: Shape) -> int:
     """How many corners are kept by default: all of a small grid, half of those of a large one."""
-    inside = _num_inside(shape)
+    inside = (shape[0] - 1) * (shape[1] - 1)
     return inside if inside <= _ALL_KEPT else -(-inside // 2)
 
 
 def convex_corners(free: Mask, count: int) -> Corners:
-    """Those of a grid, in so many places."""
+    """The corners of a grid at which paths can bend, in so many places."""
+    # A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked.
+    free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
     is_convex = jnp.sum(~around, axis=0) == 1
     if count >= is_convex.size:
@@ -155,12 +257,6 @@ def _(primals, tangents):
     return through, jnp.where(jnp.isfinite(through), tangents[1][onward], 0)
 
 
-def between_all(lengths: Float[Array, "corners corners"]) -> Float[Array, "corners corners"]:
-    """Distances between all corners (Floyd and Warshall)."""
-    own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
-    return lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPaths:
@@ -190,6 +286,7 @@ class CornerPaths:
         """Whether there are places for all corners."""
         return self.corners.is_complete
 
+    @jax.jit
     def cells(self) -> Float[Array, "h w"]:
         """Those of the centers of cells."""
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
@@ -226,7 +323,11 @@ class CornerPairs:
     @classmethod
     def of(cls, corners: Corners) -> "CornerPairs":
         """Those of a grid."""
-        return cls(corners, between_all(corners.lengths(jnp.zeros(()).dtype)))
+        lengths = corners.lengths(jnp.zeros(()).dtype)
+        own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
+        # Floyd and Warshall
+        between = lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
+        return cls(corners, between)
 
     @property
     def is_complete(self) -> Bool[Array, ""]:

@@ -1,19 +1,80 @@
-"""Distances on a traced grid by steps between cells, to 4 neighbors or to 8."""
+"""Distances on a traced grid by steps between cells, to 4 neighbors or to 8.
+
+A grid is held as bits: one word has 32 cells of a row, the first column in the lowest bit.
+"""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.bits import WORD, Mask, Words, beside, marked, packed, unpacked
-from plr_jax.traced.sight import free_cells
-
-Distances = Float[Array, "h w"]
+Mask = Bool[Array, "h w"]
+Words = UInt32[Array, "h words"]
 Grids = UInt32[Array, "h words *grids"]
+Shape = tuple[int, ...]
+Points = Float[Array, "*batch 2"]
+Cells = tuple[Int32[Array, "*batch"], ...]
+Distances = Float[Array, "h w"]
+
+WORD = 32
+"""Bits of a word."""
+_PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
+
+
+def packed(cells: Mask) -> Words:
+    """Rows of cells as bits, the first column the lowest bit of the first word."""
+    h, w = cells.shape
+    bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
+    return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
+
+
+def unpacked(words: Words, w: int) -> UInt32[Array, "h w"]:
+    """The bits of ``w`` columns, each 0 or 1."""
+    bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
+    return bits.reshape(len(words), -1)[:, :w]
+
+
+def marked(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
+    """The bits of a grid of which one cell alone is set."""
+    rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
+    bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
+    return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
+
+
+def beside(words: Grids) -> Grids:
+    """The neighbors of cells, in their row and in the rows above and below."""
+    in_row = (words << 1) | (words >> 1)
+    if words.shape[1] > 1:
+        none = jnp.zeros_like(words[:, :1])
+        in_row |= jnp.concatenate([none, words[:, :-1] >> (WORD - 1)], axis=1)
+        in_row |= jnp.concatenate([words[:, 1:] << (WORD - 1), none], axis=1)
+    none = jnp.zeros_like(words[:1])
+    return in_row | jnp.concatenate([words[1:], none]) | jnp.concatenate([none, words[:-1]])
+
+
+def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
+    """Rows and columns of two free cells that hold points, sides included, and whether there is any.
+
+    They are the lowest and the highest: where free cells touch in a point, and blocked ones as well, both of them.
+    """
+    size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
+    clipped = jnp.clip(x, 0, size)
+    upper = jnp.minimum(jnp.floor(clipped), size - 1).astype(jnp.int32)
+    lower = jnp.maximum(jnp.ceil(clipped) - 1, 0).astype(jnp.int32)
+    lowest = highest = upper[..., 1], upper[..., 0]
+    is_free = jnp.zeros(x.shape[:-1], bool)
+    for cell in product((lower[..., 1], upper[..., 1]), (lower[..., 0], upper[..., 0])):
+        here = free[cell]
+        lowest = tuple(jnp.where(here & ~is_free, new, old) for new, old in zip(cell, lowest, strict=True))
+        highest = tuple(jnp.where(here, new, old) for new, old in zip(cell, highest, strict=True))
+        is_free |= here
+    return lowest, highest, is_free & jnp.all(clipped == x, axis=-1)
 
 
 @jax.tree_util.register_dataclass
@@ -83,20 +144,17 @@ class StepPairs:
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
     """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
-    start = start & packed(free)
-    return _four(free, start) if moves == 4 else _eight(free, unpacked(start, free.shape[1]) == 1)
+    w, start = free.shape[1], start & packed(free)
+    if moves == 8:
+        return _eight(free, unpacked(start, w) == 1)
+    reached, digits = _search(packed(free), start)
+    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
+    return jnp.where(unpacked(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
 
 
 # Breadth-first search over bits: a level of the whole grid takes a few operations on words. The level of a cell is a
 # binary number, each of its digits a plane of bits. Four levels are a round, so that only two digits change between.
 # Where levels are mapped over grids, grids are the last axis: the other way round a third as many a second.
-
-
-def _four(free: Mask, start: Words) -> Distances:
-    w = free.shape[1]
-    reached, digits = _search(packed(free), start)
-    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
-    return jnp.where(unpacked(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
 
 
 @custom_vmap

@@ -6,10 +6,10 @@ import pytest
 from eikonal_helpers import EMPTY, BoxSpace, mesh_of, random_mesh
 from space_helpers import random_boxes
 
-from plr_jax import Current
-from plr_jax.eikonal.cell_costs import cell_costs
-from plr_jax.eikonal.mesh import Mesh, coarse_mesh
-from plr_jax.eikonal.sampled_space import SampledSpace
+from plr_jax import Current, VoxelSpace
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh, with_open_contacts
+from plr_jax.eikonal.program import cell_costs
+from plr_jax.eikonal.solve import SampledSpace
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace
@@ -21,7 +21,7 @@ SAMPLED = SampledSpace(SPACE, 0)
 
 
 def mesh_in(space, num_cells=16, max_cells=4096):
-    return coarse_mesh(space, np.ones(space.domain.dim), num_cells, max_cells)
+    return coarse_mesh(space, num_cells, max_cells)
 
 
 def ends(cells):
@@ -131,11 +131,6 @@ def test_no_more_cells_come_of_refining_than_there_is_room_for():
         assert room - 3 < added <= room
 
 
-def test_blocked_cells_at_the_border_of_the_domain_are_blocked():
-    mesh = mesh_in(BoxSpace(UNIT, [(0.0, 0.0), (0.6, 1.0)]))
-    np.testing.assert_array_equal(mesh.state == BLOCKED, mesh.boxes[1][:, 0] <= 0.5)
-
-
 def test_grown_boxes_leave_the_domain_around_periodic_axes_alone():
     mesh = mesh_in(BoxSpace(SPACE.domain))
     (lo, hi), grown = mesh.boxes, mesh.grown_boxes
@@ -175,7 +170,9 @@ def test_refined_cells_fill_the_domain_and_are_classified_anew():
     ],
 )
 def test_how_often_the_coarse_cells_are_halved(width, scale, num_cells, most, expected):
-    mesh = coarse_mesh(BoxSpace(Box(np.zeros(len(width)), width)), np.array(scale, float), num_cells, most)
+    mesh = coarse_mesh(
+        BoxSpace(Box(np.zeros(len(width)), width), blocks=[((i,), w) for i, w in enumerate(scale)]), num_cells, most
+    )
     assert (mesh.cells.depth == expected).all() and len(mesh.state) == 2 ** sum(expected)
     assert (mesh.state == FREE).all() and (len(mesh.all_faces) == 0) == (len(mesh.state) == 1)
 
@@ -212,7 +209,7 @@ def test_costs_are_between_their_bounds_whichever_way_motions_go():
     v = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     a, along = 1 - np.sum(w * w, axis=1), np.sum(w * v, axis=1)
     time = (np.sqrt(along**2 + a) - along) / a
-    assert (costs.least_rates[cell] <= time).all() and (time <= costs.of_motions(v, cell) + 1e-12).all()
+    assert (costs.least_rate <= time).all() and (time <= costs.of_motions(v, cell) + 1e-12).all()
     midway = costs.midway.of_motions(v, cell)
     assert (midway < costs.of_motions(v, cell)).all() and abs(np.mean(midway / time) - 1) < 0.05
 
@@ -246,3 +243,59 @@ def test_cells_that_are_too_slender_are_refused(width):
     space = BoxSpace(Box(np.zeros(len(width)), width))
     with pytest.raises(ValueError, match=rf"200,000 times as long as wide.*leave out axis {np.argmin(width)}"):
         mesh_in(space, 64, 64)
+
+
+# --- contacts ------------------------------------------------------------------------------------------
+
+
+def voxel_states(free, num_cells):
+    """The states of a mesh over voxels, before and after contacts are opened, by voxel."""
+    space = VoxelSpace(free)
+    mesh = coarse_mesh(space, num_cells, num_cells)
+    opened = with_open_contacts(mesh, space)
+    middle = (np.argwhere(np.ones(free.shape)) + 0.5) / free.shape
+    return [each.state[each.locate(middle)].reshape(free.shape) for each in (mesh, opened)]
+
+
+def test_only_blocked_cells_between_two_that_touch_in_a_corner_are_opened():
+    free = np.ones((4, 4), bool)
+    free[1, 1] = free[2, 2] = free[0, 3] = False  # the last one touches none
+    before, after = voxel_states(free, 16)
+    assert (before[[1, 2, 0], [1, 2, 3]] == BLOCKED).all()
+    assert (after[[1, 2], [1, 2]] == MIXED).all() and after[0, 3] == BLOCKED
+
+
+def parted_places(is_open):
+    """Of 2 x 2 x 2 voxels, which places inside have open ones around them without a way around through open ones."""
+    found = []
+    for across in [(0, 1, 2), *itertools.combinations(range(3), 2)]:
+        for side in (0, 1) if len(across) == 2 else (None,):
+            (*_, along) = sorted({0, 1, 2} - set(across)) or [None]
+            around = [v for v in itertools.product((0, 1), repeat=3) if side is None or v[along] == side]
+            graph = networkx.Graph()
+            graph.add_nodes_from(v for v in around if is_open[v])
+            pairs = itertools.combinations(list(graph), 2)
+            graph.add_edges_from((a, b) for a, b in pairs if np.abs(np.subtract(a, b)).sum() == 1)
+            if len(graph) and not networkx.is_connected(graph):
+                found.append((across, side))
+    return found
+
+
+def test_no_place_in_space_is_parted_any_more_and_where_none_was_nothing_changes():
+    num_opened = 0
+    for bits in itertools.product([False, True], repeat=8):
+        free = np.array(bits).reshape(2, 2, 2)
+        if not free.any():
+            continue
+        before, after = voxel_states(free, 8)
+        assert not parted_places(after != BLOCKED)
+        assert parted_places(before != BLOCKED) or (after == before).all()
+        num_opened += (after != before).any()
+    assert num_opened > 50
+
+
+def test_the_seam_of_a_periodic_axis_has_contacts_too():
+    space = BoxSpace(Box((0, 0), (4, 4), (True, False)), [(0.0, 0.0), (1.0, 2.0)], [(3.0, 2.0), (4.0, 4.0)])
+    mesh = coarse_mesh(space, 16, 16)
+    opened = (mesh.state == BLOCKED) & (with_open_contacts(mesh, space).state != BLOCKED)
+    np.testing.assert_array_equal(np.stack(mesh.boxes)[:, opened], [[(0, 0), (3.5, 2)], [(0.5, 2), (4, 4)]])

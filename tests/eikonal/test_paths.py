@@ -7,9 +7,9 @@ from eikonal_helpers import EMPTY, BoxSpace
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import PlaneSpace, PointRobot, Problem, VisibilityGraph, Workspace, validate
-from plr_jax.eikonal.cell_costs import cell_costs
 from plr_jax.eikonal.mesh import coarse_mesh
 from plr_jax.eikonal.paths import NodePaths, shortest_paths
+from plr_jax.eikonal.program import cell_costs
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import LipschitzCost
 
@@ -19,7 +19,7 @@ BLOCK = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
 
 def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
     """Paths on a mesh whose mixed cells are halved, and where the corners of free cells and the goal are."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
+    mesh = coarse_mesh(space, num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
     fraction = (np.array(goal) - space.domain.lo) / space.domain.width
@@ -131,7 +131,7 @@ def test_where_no_cell_is_free_there_is_the_goal_alone():
 
 def test_memory_is_that_of_pairs_of_nodes_not_of_corners_of_cells(monkeypatch):
     space = BoxSpace(Box([0.0] * 6, [1.0] * 6))
-    mesh = coarse_mesh(space, np.ones(6), 64, 64)
+    mesh = coarse_mesh(space, 64, 64)
     costs, goal = cell_costs(space, None, mesh), np.full(6, 0.3)
     expected = shortest_paths(mesh, costs, goal, space)
     monkeypatch.setattr("plr_jax.eikonal.paths._EDGES_AT_ONCE", 1 << 13)

@@ -10,10 +10,10 @@ from scipy.sparse import vstack
 from tqdm import tqdm
 
 from plr_jax import PlaneSpace, Workspace, solve_eikonal
-from plr_jax.eikonal import lower
-from plr_jax.eikonal.lower import SlopeSolver, loss_at_goal, losses, slope_program
+from plr_jax.eikonal import solve
 from plr_jax.eikonal.mesh import coarse_mesh
-from plr_jax.eikonal.program import rescaling_of
+from plr_jax.eikonal.program import Rescaling, SlopeProgram
+from plr_jax.eikonal.solve import SlopeSolver
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import CellState, LipschitzCost
 
@@ -27,10 +27,15 @@ CELLS = st.lists(st.tuples(LEVEL, LEVEL, st.sampled_from([0.0, 0.5, 1.0, 1.25, 2
 
 def program_of(space, goal, num_cells=16, cost_map=None, rounds=1):
     """The program on a mesh whose mixed cells are halved, so that nodes hang."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
+    mesh = coarse_mesh(space, num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
-    return slope_program(mesh, space, cost_map, np.array(goal, float))
+    return SlopeProgram.on(mesh, space, cost_map, np.array(goal, float))
+
+
+def slopes(program, u):
+    """By what slopes at the control points are too steep, below 1 where they are not."""
+    return program.sets.factors(program.gradients(u))
 
 
 def mean(program, u):
@@ -40,13 +45,13 @@ def mean(program, u):
 
 def solved(program, rounds=6):
     """The values after many iterations, 0 at the goal, over the factor by which they are too steep."""
-    iterate = program.solve(150, program.zero(), (20, 40, 80))
+    iterate = program.solve(150, None, (20, 40, 80))
     for _ in range(rounds - 1):
         iterate = program.solve(150, iterate, (40,))
     iterate, has_converged = program.solve_thoroughly(iterate, 300)
     assert has_converged
-    u = iterate.values - program.at_goal(iterate.values)
-    return u / max(1.0, program.slopes(u).max()), iterate
+    u = iterate.values - program.goal @ iterate.values
+    return u / max(1.0, slopes(program, u).max()), iterate
 
 
 def short_of_distance(program, space, goal, u, x):
@@ -70,7 +75,7 @@ def test_the_best_function_is_that_of_a_linear_program(weights, seed):
         bounds=(None, None),
     )
     best = mean(program, exact.x)
-    assert program.slopes(exact.x).max() <= 1 + 1e-6
+    assert slopes(program, exact.x).max() <= 1 + 1e-6
     assert 0.995 * best <= mean(program, solved(program)[0]) <= best * (1 + 1e-6)
 
 
@@ -100,7 +105,7 @@ def test_in_an_empty_square_it_is_just_below_the_distance():
     space, goal = BoxSpace(UNIT), np.array([0.3, 0.45])
     program = program_of(space, goal, num_cells=256)
     u, _ = solved(program, rounds=2)
-    assert abs(program.at_goal(u)) < 1e-12
+    assert abs(program.goal @ u) < 1e-12
     short, distance = short_of_distance(program, space, goal, u, np.random.default_rng(0).random((3000, 2)))
     assert (short >= -1e-9).all() and np.mean(short) < 0.07 * distance.mean()
 
@@ -112,7 +117,7 @@ def test_the_loss_at_the_goal_is_what_is_too_low_behind_it(periodic):
     program = program_of(space, goal, num_cells=4)
     u, iterate = solved(program)
     short, _ = short_of_distance(program, space, goal, u, np.linspace(0, 1, 1001)[:, None])
-    np.testing.assert_allclose(loss_at_goal(program, iterate, goal), np.mean(short), rtol=0.3)
+    np.testing.assert_allclose(program.loss_at_goal(iterate), np.mean(short), rtol=0.3)
 
 
 def test_a_step_costs_what_the_cell_says():
@@ -121,7 +126,7 @@ def test_a_step_costs_what_the_cell_says():
     tripled = program_of(space, goal, cost_map=LipschitzCost(lambda q: np.full(len(q), 3.0), 0.0, 3.0))
     np.testing.assert_allclose(tripled.sets.radius, 3 * plain.sets.radius)
     u, _ = solved(plain)
-    np.testing.assert_allclose(tripled.slopes(3 * u), plain.slopes(u))
+    np.testing.assert_allclose(slopes(tripled, 3 * u), slopes(plain, u))
     np.testing.assert_allclose(mean(tripled, solved(tripled)[0]), 3 * mean(plain, u), rtol=2e-3)
 
 
@@ -136,7 +141,7 @@ def test_the_largest_of_the_blocks_slopes_counts():
     space = BoxSpace(Box(np.zeros(3), np.ones(3)), blocks=(((0, 1), 2.0), ((2,), 0.5)))
     program = program_of(space, (0, 0, 0), num_cells=8)
     for slope, factor in (([0.6, 0.8, 0.0], 0.5), ([0.0, 0.0, 1.0], 2.0), ([0.6, 0.8, 1.0], 2.0)):
-        np.testing.assert_allclose(program.slopes(program.space.points @ slope), factor)
+        np.testing.assert_allclose(slopes(program, program.space.points @ slope), factor)
     flow = np.tile([[3.0], [4.0], [5.0]], len(program.sets.radius))
     np.testing.assert_allclose(program.sets.costs(flow), 10.0)
 
@@ -148,17 +153,17 @@ def test_only_what_the_goal_is_connected_to_has_values():
 
 def test_losses_are_where_the_function_falls_short():
     program = program_of(BoxSpace(UNIT, [(0.5, 0.0), (0.6, 0.8)]), (0.2, 0.2), num_cells=64)
-    loss, mesh = losses(program, solved(program, rounds=2)[1]), program.space.mesh
+    loss, mesh = program.losses(solved(program, rounds=2)[1]), program.space.mesh
     assert loss.shape == mesh.open_cells.shape and (loss >= 0).all()
     assert loss[mesh.state[mesh.open_cells] == CellState.MIXED].sum() > 0.5 * loss.sum()
 
 
 def test_more_iterations_never_end_with_a_worse_bound():
     program = program_of(BoxSpace(UNIT, *WALLS), (0.1, 0.2), num_cells=64)
-    start, bounds = program.solve(20, program.zero()), []
+    start, bounds = program.solve(20, None), []
     for most in (1, 11, 21, 500):
         iterate, has_converged = program.solve_thoroughly(start, most)
-        u = iterate.values - program.at_goal(iterate.values)
+        u = iterate.values - program.goal @ iterate.values
         bounds.append(mean(program, program.rescaling(u)(u)))
         assert has_converged == (most == 500)
     assert (np.diff(bounds) >= 0).all() and bounds[-1] > bounds[0]
@@ -169,7 +174,7 @@ def test_values_are_rescaled_by_the_integral_of_one_over_the_steepest_factor(cel
     """Slot by slot of an eighth; in no cell do they stay steeper than allowed."""
     lowest, highest, factor = np.array(cells).T
     lowest, highest = np.minimum(lowest, highest), np.maximum(lowest, highest)
-    rescaling, ends = rescaling_of(lowest, highest, factor), np.arange(-8, 41) / 8
+    rescaling, ends = Rescaling.of(lowest, highest, factor), np.arange(-8, 41) / 8
     middle = ends[:-1, None] + 1 / 16
     steepest = np.where((lowest < middle) & (middle < highest), factor, 1.0).max(axis=1, initial=1.0)
     integral = np.append(0.0, np.cumsum(1 / 8 / steepest))
@@ -214,6 +219,6 @@ def test_walls_too_thin_for_their_cells_are_refined_first():
 
 
 def test_what_has_not_converged_says_so(monkeypatch):
-    monkeypatch.setattr(lower, "_MOST", 11)
+    monkeypatch.setattr(solve, "_MOST", 11)
     with pytest.warns(UserWarning, match="has not converged in 11 iterations: the bounds hold"):
         solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=100)

@@ -14,7 +14,7 @@ from plr_jax import (
     save,
     solve_eikonal,
 )
-from plr_jax.eikonal.field import MeshEstimate
+from plr_jax.eikonal.bounds import MeshEstimate
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 
 GOAL = (0.3, 0.4)
