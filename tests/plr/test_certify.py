@@ -92,6 +92,7 @@ def test_bounds_hold_everywhere_and_are_tight(certified, maze):
     assert changed.max_error is None and changed.band is None and changed.to_bytes() == plain.to_bytes()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("leaf", "kind"), list(zip((*LEAVES, "cone", "plane"), WORKSPACES * 2, strict=True)))
 def test_bounds_hold_among_slivers_contacts_and_parts_that_are_cut_off(leaf, kind):
     """Where the goal is a corner, or the domain is another than the bounds."""
@@ -132,6 +133,7 @@ def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
     assert plr.bounds(np.array([0.5, 0.9]))[0].shape == ()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 def test_certified_construction_with_samples_beyond_their_cells(leaf, maze):
     check_bounds(
@@ -163,6 +165,7 @@ SMALL = [_spike(1e-4, 2e-5), _spike(1e-3, 1e-5), _spike(1e-5, 1e-4)]
 SMALL.append((box(0.4 - 2.5e-9, 0.4 - 4e-6, 0.4 + 2.5e-9, 0.4 + 4e-6), (0.4 - 1e-6, 0.4)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 @pytest.mark.parametrize(("wall", "goal"), SMALL)
 def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
@@ -174,6 +177,7 @@ def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
     check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf))
 
 
+@pytest.mark.full
 def test_pieces_that_are_all_but_a_line_far_away_keep_their_sources():
     """The map is a million widths from the origin."""
     lo = np.array([-1712.312822890455, 1126.3337144117268])
@@ -204,6 +208,7 @@ def test_an_interrupted_proof_leaves_the_plr_without_one(maze, monkeypatch):
     np.testing.assert_array_equal(plr.leaf_boxes, whole.leaf_boxes)
 
 
+@pytest.mark.full
 def test_proofs_end_where_bounds_cannot_get_better(maze, monkeypatch):
     """Then they are as they were found so far, and hold."""
     plr = construct(maze, UNIT, max_leaves=20)

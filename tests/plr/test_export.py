@@ -57,6 +57,7 @@ QUERIES = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", QUERIES)
 def test_of_any_number_of_points(name, pairs):
     """Also by bytes, which ``jax.export`` writes with the package flatbuffers."""
@@ -71,6 +72,7 @@ def test_of_any_number_of_points(name, pairs):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.full
 def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
     domain = Box((-1, -1), (3, 2))
@@ -116,6 +118,7 @@ CODE = """
 """
 
 
+@pytest.mark.full
 def test_answers_are_the_same_and_on_the_devices_of_their_points():
     flags = f"--xla_force_host_platform_device_count=4 {os.environ.get('XLA_FLAGS', '')}"
     command, environment = [sys.executable, "-c", textwrap.dedent(CODE)], {**os.environ, "XLA_FLAGS": flags}

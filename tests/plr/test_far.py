@@ -43,6 +43,7 @@ def test_64_bit_points_keep_what_the_origin_has(leaf, origin):
             np.testing.assert_allclose(compiled, far(y.astype(np.float32).astype(np.float64)), atol=2e-3)
 
 
+@pytest.mark.full
 def test_under_jit_what_is_proven_holds_in_64_bits():
     """As the documentation says: in 32 bits it is about rounded points, which are elsewhere."""
     there, oracle = maze(UTM, 200.0)
@@ -91,6 +92,7 @@ def test_where_32_bits_tell_no_places_apart_64_bits_do_and_others_are_refused():
         np.testing.assert_allclose(farther(jnp.asarray(x)), 0.7 * np.sqrt(2), atol=0.02)
 
 
+@pytest.mark.full
 def test_farther_than_64_bits_with_tables_of_32():
     far = np.full(2, 1e13)
     plr = construct(Euclidean(far + 1), Box(far, far + 2), max_leaves=20)
@@ -99,6 +101,7 @@ def test_farther_than_64_bits_with_tables_of_32():
         plr(jnp.asarray(far + 1))
 
 
+@pytest.mark.full
 def test_pairs_far_away():
     wall, origin = np.array([(0.9, 0.5), (1.1, 0.5), (1.1, 1.5), (0.9, 1.5)]), np.full(2, 1e8 + 1)
     near, far = (construct_pairs(Workspace((lo, lo + 2), [lo + wall]), max_bytes=500) for lo in (np.zeros(2), origin))

@@ -106,6 +106,7 @@ def team():
     ]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [0, 1, 60])
 def test_a_team_equals_the_plrs_bit_for_bit(team, n, monkeypatch):
     q = 2 * np.random.default_rng(1).random((n, 6, 3)) - 0.5

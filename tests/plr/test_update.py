@@ -58,6 +58,7 @@ def test_leaves_that_hold_stay_as_they_are(oracle, plr):
     assert np.mean(new(x) == plr(x)) > 0.98  # two leaves may be one now, and one two, as the budget asks for
 
 
+@pytest.mark.full
 def test_what_is_closed_off_and_opened_again_is_answered_again(oracle, plr):
     door = shapely.box(2.4, 3.9, 3.1, 6)
     closed = oracle.with_workspace(oracle.workspace.with_obstacles([door]))
@@ -75,6 +76,7 @@ def test_a_domain_from_which_nothing_leads_to_the_goal_any_more_is_refused(oracl
         far.updated(closed)
 
 
+@pytest.mark.full
 def test_where_another_way_is_taken_all_behind_moves_by_one_number():
     """Both ways around a wall end at one corner: beyond it, distances grow alike, and leaves stay."""
     walls = [shapely.box(2, 1, 6, 5), shapely.box(6.5, 0, 7, 3), shapely.box(6.5, 3.2, 7, 6)]
@@ -111,6 +113,7 @@ def test_nothing_changes_where_nothing_has(oracle, plr):
     )
 
 
+@pytest.mark.full
 def test_a_file_is_updated_as_what_it_was_written_of(oracle, plr):
     box = shapely.box(3.5, 4.5, 4, 5)
     after = oracle.with_workspace(oracle.workspace.with_obstacles([box]))
@@ -118,6 +121,7 @@ def test_a_file_is_updated_as_what_it_was_written_of(oracle, plr):
     assert check(read, after.workspace, [box]) <= 1.1 * check(plr.updated(after), after.workspace, [box])
 
 
+@pytest.mark.full
 def test_a_map_that_was_empty_fills_the_budget():
     """One leaf says nothing of what a leaf is worth: then all are sought, as in a construction."""
     empty = VisibilityGraph(Workspace(BOUNDS, []), GOAL)

@@ -97,6 +97,7 @@ def test_what_is_written_is_read_and_up_to_each_mark_it_is_one_of_fewer_layers(l
         assert Container.from_bytes(cut.to_bytes()) == cut
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("whole", CONTAINERS)
 def test_every_flipped_bit_and_every_other_end_is_refused(whole):
     data = whole.to_bytes()

@@ -125,11 +125,6 @@ def test_other_numbers_are_floats(domain):
     assert read(data, domain.dim, True) == domain
 
 
-def test_periodic_axes_have_their_upper_end_first_in_floats_too():
-    domain = Box((-2, -np.pi), (2, np.pi), periodic=(False, True))
-    assert domain_to_bytes(domain) == (struct.pack("<4d", -2, np.pi, 2, -np.pi), True)
-
-
 def test_the_caller_s_decimals_change_nothing():
     domain = Box((-1234.5678,), (8765.4321,))
     expected = domain_to_bytes(domain)

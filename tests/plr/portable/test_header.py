@@ -29,6 +29,7 @@ KINDS += ", values in six dimensions, around, smooth around, folded car of plane
 KINDS += ", far folded car"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", KINDS.split(", "))
 def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(name, tmp_path, compiler):
     plr = case(name)
@@ -54,6 +55,7 @@ def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(
         assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_"}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("names", [("a", "b"), ("a", "A"), ("a", "a_H"), ("Maze", "maze")])
 def test_two_headers_live_side_by_side(names, tmp_path, compiler):
     text = "".join(case(of).c_header(name) for of, name in zip(("folded car", "maze of cones"), names, strict=True))
@@ -89,6 +91,7 @@ def test_texts_keep_the_order_of_operations(build, text):
     assert str(build(*(do.atom(name) for name in "xyz"))) == text
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["far around", "far folded car", "around"])
 def test_no_conversion_is_undefined(name, compiler, tmp_path):
     """Of numbers that are none and infinite ones, too: what no integer holds is not converted to one."""

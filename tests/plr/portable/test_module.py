@@ -19,6 +19,7 @@ def _node():
         pytest.skip("modules are run where there is Node, as node")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", CASES)
 def test_answers_are_those_of_numpy(name, tmp_path):
     plr = case(name)
@@ -33,6 +34,7 @@ def test_answers_are_those_of_numpy(name, tmp_path):
         assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", vector_names())
 def test_vectors_are_answered_bit_for_bit(name, tmp_path):
     path, x, expected, _ = read_vector(name)
@@ -45,6 +47,7 @@ def test_vectors_are_answered_bit_for_bit(name, tmp_path):
     assert same_bits(found, load(path).numpy()(x.astype(np.float64)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["maze of cones", "far cones"])
 def test_files_of_cones_are_read_and_answered(name, tmp_path):
     """By a program that is of no file, from the bytes of one."""

@@ -61,14 +61,6 @@ def test_leaves_of_the_same_numbers_share_a_row():
     assert_finds_rows([cells, cells], [np.arange(len(cells)) % 3, 3 + np.arange(len(cells)) % 2])
 
 
-def test_levels_take_all_bits_of_a_place_once():
-    levels = trie_levels(np.array([13, 12]))
-    assert (levels[0] == 0).all() and levels[1].sum() == 10 and levels[-1].tolist() == [13, 12]
-    steps = np.diff(levels, axis=0)
-    assert (steps >= 0).all() and (steps[1:].sum(axis=1) <= 6).all()
-    assert [end.tolist() for end in trie_levels(np.array([2, 1]))] == [[0, 0], [2, 1]]
-
-
 def test_too_deep_partitions_and_such_of_too_many_pages_are_left_out():
     too_deep = chain([0] * 18)
     assert not can_be_in_trie(too_deep, levels_of_all([too_deep]))
