@@ -330,7 +330,9 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         raise ValueError(
             f"A stack needs PLRs of one number of dimensions, at least one, got those of {sorted(dims)}."
         )
-    tables, corners = zip(*map(_from_near, plrs), strict=True)
+    # In a domain that is far from the origin, points are counted from its corner.
+    tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
+    corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     places: list[tuple[int, int]] = [(0, 0)] * len(plrs)
     groups = []
     for members, alike in _groups(plrs, tables):
@@ -342,13 +344,6 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
     arrays = jnp.asarray(group), jnp.asarray(place), parts
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
-
-
-def _from_near(plr: PLR) -> tuple[Tables, Float[np.ndarray, "dim"]]:
-    """Tables, and where they count points from: the corner of a domain that is far from the origin."""
-    if is_far(plr.domain):
-        return plr.tables_from_corner, plr.domain.lo
-    return plr.tables, np.zeros(plr.dim)
 
 
 def _groups(plrs: Sequence[PLR], tables: Sequence[Tables]) -> Iterator[tuple[list[int], _Alike]]:

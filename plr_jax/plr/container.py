@@ -132,7 +132,12 @@ class Header:
         folding = read_folding(reader, domain) if second & _FOLDED else None
         label, sizes = "", ()
         if second & _EXTENDED:
-            label = _read_label(reader)
+            if (length := reader.varint()) > MOST_LABEL_BYTES:
+                raise ValueError(f"it states a label of {length} bytes, more than {MOST_LABEL_BYTES}")
+            try:
+                label = reader.take(length).decode()
+            except UnicodeDecodeError:
+                raise ValueError("its label is no text") from None
             if (count := reader.varint()) > MOST_LAYERS:
                 raise ValueError(f"it states {count} layers, more than {MOST_LAYERS}")
             if count and second & 7 != PAIRS_CODE:
@@ -142,15 +147,6 @@ class Header:
         if header.data != data[: reader.at]:
             raise ValueError("its header is not written in the one way there is")
         return header
-
-
-def _read_label(reader: ByteReader) -> str:
-    if (length := reader.varint()) > MOST_LABEL_BYTES:
-        raise ValueError(f"it states a label of {length} bytes, more than {MOST_LABEL_BYTES}")
-    try:
-        return reader.take(length).decode()
-    except UnicodeDecodeError:
-        raise ValueError("its label is no text") from None
 
 
 @dataclass(frozen=True)

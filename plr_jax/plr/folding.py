@@ -150,16 +150,14 @@ def _commuting(symmetries: Sequence[Symmetry], domain: Box) -> list[Symmetry]:
     kept: list[Symmetry] = []
     for symmetry in symmetries:
         matrix = symmetry.matrix
-        is_reflection = np.allclose(matrix, matrix.T, atol=_SAME) and _is_unit(matrix @ matrix)
+        is_reflection = np.allclose(matrix, matrix.T, atol=_SAME) and np.allclose(
+            matrix @ matrix, np.eye(len(matrix)), atol=_SAME
+        )
         mixes = np.abs(matrix - np.diag(np.diag(matrix))).max(axis=1) > _SAME
         commutes = all(np.allclose(matrix @ other.matrix, other.matrix @ matrix, atol=_SAME) for other in kept)
         if is_reflection and commutes and not (mixes & np.array(domain.periodic)).any():
             kept.append(symmetry)
     return kept
-
-
-def _is_unit(matrix: Float[np.ndarray, "dim dim"]) -> bool:
-    return np.allclose(matrix, np.eye(len(matrix)), atol=_SAME)
 
 
 def _mirrored(symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, "dim"]) -> Folding | None:

@@ -207,13 +207,6 @@ def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"
     return np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1)
 
 
-def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
-    """Corners of a box as 32-bit floats, rounded inward."""
-    lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
-    lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
-    return np.stack([lo, np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)])
-
-
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
     """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)
@@ -242,10 +235,14 @@ def folding_numbers(
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
+    box = folding.box
+    lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
+    lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
+    hi = np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)
     endless = np.array([[-np.inf], [np.inf]], np.float32)
     return (
         np.stack([center, exact - center]).astype(np.float32),
-        np.where(folding.domain.periodic, endless, inner_corners(folding.box)),
+        np.where(folding.domain.periodic, endless, [lo, hi]),
     )
 
 

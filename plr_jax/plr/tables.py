@@ -364,7 +364,9 @@ def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
         block_bits = spread_bits(bits, most_bits)
         if num_pairs(cells, block_bits) > _MOST_PAIRS:
             break  # finer blocks meet more leaves
-        if not _can_be_read(bits, bits - block_bits, most_slots):
+        # Words have room for a mask of a page and a start, and no bits of a place belong farther left.
+        page_bits = bits - block_bits
+        if page_bits.sum() + most_slots.bit_length() > WORD_BITS or (_right_of_place(bits, page_bits) < 0).any():
             continue
         shape = block_shapes(cells, block_bits)
         if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > most_slots:
@@ -373,12 +375,6 @@ def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
         if num_slots <= most_slots:
             return _fill_pages(cells, block_bits, shape, start, num_slots, 1 << most_bits)
     return None
-
-
-def _can_be_read(bits: Int[np.ndarray, "dim"], page_bits: Int[np.ndarray, "dim"], most_slots: int) -> bool:
-    """Whether words have room for a mask of a page and a start, and no bits of a place belong farther left."""
-    fits_word = page_bits.sum() + most_slots.bit_length() <= WORD_BITS
-    return bool(fits_word and (_right_of_place(bits, page_bits) >= 0).all())
 
 
 def _place_pages(

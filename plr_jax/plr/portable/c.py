@@ -59,33 +59,25 @@ class CHeader(Code[CWriter]):
 
     def text(self) -> str:
         """The header."""
-        return "\n".join([*self.introduction(), *self.tables(), *self.functions(), *self.end()])
-
-    @property
-    def root(self) -> str:
-        """The code of the tree's root."""
-        return f"{self.tree.root}u"
-
-    @property
-    def table_bytes(self) -> int:
-        """Of the program's constants: several times the file, whose integers have few bits."""
-        return 4 * self.rows.size + self.tree.code_type.itemsize * self.tree.children.size
+        return "\n".join([*self.introduction(), *self.tables(), *self.functions(), "#endif", ""])
 
     def introduction(self) -> list[str]:
         """What the header is, and what it includes."""
         program, name = self.program, self.name
         guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
+        # Several times the file, whose integers have few bits.
+        table_bytes = 4 * self.rows.size + self.tree.code_type.itemsize * self.tree.children.size
         waypoint = f"   {name}_waypoint: where to go straight to from a point; NaN outside the domain.\n"
         return [
             f"#ifndef {guard}",
             f"#define {guard}",
-            f"/* The distance to a goal, by plr_jax: {self.leaves()} of kind {program.leaf.name!r}.",
+            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
             "",
             f"   {name}_distance: distance from a point {ends_of(program.domain)};",
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
             *(waypoint.splitlines() if self.is_sourced else []),
             f"   Coordinates are {self.type}: {_WHY[self.type]}.",
-            *self.about_tables(),
+            f"   Compiled, its tables take {table_bytes:,} bytes, beside a few hundred of code.",
             "",
             "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
             "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
@@ -102,14 +94,6 @@ class CHeader(Code[CWriter]):
             "#endif",
             "",
         ]
-
-    def leaves(self) -> str:
-        """Which leaves it has."""
-        return f"{len(self.program.cells)} leaves"
-
-    def about_tables(self) -> list[str]:
-        """What is said of the tables."""
-        return [f"   Compiled, its tables take {self.table_bytes:,} bytes, beside a few hundred of code."]
 
     def tables(self) -> list[str]:
         """The tree, and the numbers of the leaves."""
@@ -139,10 +123,6 @@ class CHeader(Code[CWriter]):
         waypoint = self._waypoint() if self.is_sourced else []
         return [*self._floors(), *self._descent(), *distance, *waypoint]  # which floors, their bodies say
 
-    def end(self) -> list[str]:
-        """What closes it."""
-        return ["#endif", ""]
-
     def _descent(self) -> list[str]:
         """From places to the leaf's row."""
         tree, name, dim = self.tree, self.name, self.program.dim
@@ -154,7 +134,7 @@ class CHeader(Code[CWriter]):
             "/* Down the tree: each split takes the next bit of the place along its axis. */",
             f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
             "{",
-            f"    uint32_t code = {self.root};",
+            f"    uint32_t code = {self.tree.root}u;",
             f"    while ((code & {mask}u) != {dim}u) {{",
             f"        const uint32_t axis = code & {mask}u;",
             "        const uint32_t upper = place[axis] >> 31;",
