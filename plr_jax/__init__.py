@@ -19,8 +19,8 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 - Inside `jit`, on maps that are arrays and change: `grid_distance`, to a goal a `GridDistance`, else `GridDistances`.
 - Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, of any
   robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which
-  tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`, `Climbing`, `Current`, or
-  your own `DirectionalCost` or `LipschitzCost`.
+  tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`,
+  `LipschitzCost`, or your own `DirectionalCost`.
 
 # Store: the answer in kilobytes
 

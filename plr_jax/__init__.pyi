@@ -78,10 +78,8 @@ from .robots.robot import RectangleRobot as RectangleRobot
 from .robots.robot import Robot as Robot
 from .spaces import CellState as CellState
 from .spaces import ClearanceSpace as ClearanceSpace
-from .spaces import Climbing as Climbing
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import CostMap as CostMap
-from .spaces import Current as Current
 from .spaces import DirectionalCost as DirectionalCost
 from .spaces import FreeTest as FreeTest
 from .spaces import LipschitzCost as LipschitzCost

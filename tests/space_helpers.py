@@ -90,3 +90,45 @@ def nothing_known(x):
 def far_from(goal):
     """The field that knows of no wall."""
     return lambda x: np.hypot(*(x - np.asarray(goal)).T)
+
+
+class Climb:
+    """Length, and so much more a unit of climbing, on ground with a gradient of the height."""
+
+    def __init__(self, gradient_fn, rate, lipschitz, steepest):
+        self.gradient_fn, self.rate, self.lipschitz, self.steepest = gradient_fn, rate, lipschitz, steepest
+
+    def __call__(self, q):
+        return 1 + self.rate * np.linalg.norm(self.gradient_fn(q), axis=1)
+
+    def bounds(self, lo, hi):
+        return np.ones(len(lo)), np.full(len(lo), 1 + self.rate * self.steepest)
+
+    def pulls(self, lo, hi):
+        spread = self.rate * self.lipschitz * np.linalg.norm(hi - lo, axis=1) / 2
+        uphill = self.rate * self.gradient_fn((lo + hi) / 2)
+        return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
+
+
+class SteadyCurrent:
+    """Time of a vehicle of speed 1 in a current that is the same everywhere."""
+
+    def __init__(self, w):
+        self.w = np.array(w)
+        self.a = 1 - self.w @ self.w
+
+    def __call__(self, q):
+        return np.full(len(q), 1 / (1 - np.linalg.norm(self.w)))
+
+    def bounds(self, lo, hi):
+        speed = np.linalg.norm(self.w)
+        return np.full(len(lo), 1 / (1 + speed)), np.full(len(lo), 1 / (1 - speed))
+
+    def pulls(self, lo, hi):
+        pull, one = np.tile(-self.w / self.a, (len(lo), 1)), np.ones(len(lo))
+        return pull, pull, one / np.sqrt(self.a), one / self.a
+
+    def time(self, v):
+        """The least ``t`` at which the vehicle, carried along for as long, gets to ``v``."""
+        along = v @ self.w
+        return (-along + np.sqrt(along**2 + self.a * np.sum(v * v, axis=1))) / self.a

@@ -2,9 +2,7 @@
 
 from plr_jax.spaces._arm import PlanarArm as PlanarArm
 from plr_jax.spaces._clearance import ClearanceSpace as ClearanceSpace
-from plr_jax.spaces._costs import Climbing as Climbing
 from plr_jax.spaces._costs import CostMap as CostMap
-from plr_jax.spaces._costs import Current as Current
 from plr_jax.spaces._costs import DirectionalCost as DirectionalCost
 from plr_jax.spaces._costs import LipschitzCost as LipschitzCost
 from plr_jax.spaces._costs import cost_bounds as cost_bounds

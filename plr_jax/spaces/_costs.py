@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,187 +16,6 @@ _ROUNDING = 16.0  # units in the last place, of what functions of configurations
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
 Rates: TypeAlias = Float[np.ndarray, "n"]
-
-
-@dataclass(frozen=True)
-class Climbing:
-    """Cost of motions over a ground of some height: length, and so much more a unit of climbing; descending is free.
-
-    Args:
-        gradient_fn: Gradient of the height at configurations ``(n, dof)``, ``(n, dof)``.
-        rate: What a unit of height costs, at least 0.
-        lipschitz: The most by which the gradient changes a unit of distance, at least 0.
-        steepest: The largest norm of the gradient anywhere, at least 0.
-
-    Raises:
-        ValueError: If an argument is of another kind or out of its range.
-    """
-
-    gradient_fn: Callable[[np.ndarray], ArrayLike]
-    rate: float
-    lipschitz: float
-    steepest: float
-
-    def __post_init__(self):
-        _check_numbers(self, "gradient_fn", "rate", "lipschitz", "steepest")
-
-    def __call__(self, q: ArrayLike) -> Rates:
-        """What a motion of length 1 straight uphill costs.
-
-        Args:
-            q: Configurations, ``(n, dof)``.
-
-        Returns:
-            The costs, ``(n,)``.
-
-        Raises:
-            ValueError: If the function returns another shape, or a gradient above ``steepest``.
-        """
-        gradient, _ = _vectors("gradient_fn", self.gradient_fn, self.steepest, np.asarray(q, np.float64))
-        return 1 + self.rate * np.linalg.norm(gradient, axis=1)
-
-    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            The bounds, ``(n,)`` each.
-        """
-        _, uphill, _, most = self.pulls(lo, hi)
-        return np.ones(len(lo)), np.minimum(most + np.linalg.norm(uphill, axis=1), 1 + self.rate * self.steepest)
-
-    def pulls(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
-        """As :meth:`DirectionalCost.pulls`: nothing, and the gradient at the center.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
-        """
-        gradient, rounding = _vectors("gradient_fn", self.gradient_fn, self.steepest, (lo + hi) / 2)
-        uphill = self.rate * gradient
-        spread = self.rate * (self.lipschitz * _radii(lo, hi, rounding) + rounding * self.steepest)
-        return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
-
-
-@dataclass(frozen=True)
-class Current:
-    """Time of motions in a current: a vehicle of some speed in the water, or the air, is carried along (Zermelo).
-
-    Bounds of it do not meet even at a point: with a current half as fast as the vehicle, those of a motion along it
-    are 27 % of the upper one apart, and estimates up to 13 % off; with one a tenth as fast, half a percent. Above 0.7
-    of the vehicle's speed they say little.
-
-    Args:
-        velocity_fn: Velocity of the current at configurations ``(n, dof)``, ``(n, dof)``.
-        speed: Speed of the vehicle in still water, positive.
-        lipschitz: The most by which the velocity changes a unit of distance, at least 0.
-        fastest: The largest speed of the current, below that of the vehicle, which else could not go everywhere.
-
-    Raises:
-        ValueError: If an argument is of another kind or out of its range.
-
-    References:
-        Zermelo, 1931. Bao, Robles and Shen, "Zermelo navigation on Riemannian manifolds", 2004, for the metric.
-    """
-
-    velocity_fn: Callable[[np.ndarray], ArrayLike]
-    speed: float
-    lipschitz: float
-    fastest: float
-
-    def __post_init__(self):
-        _check_numbers(self, "velocity_fn", "speed", "lipschitz", "fastest", positive="speed")
-        if self.fastest >= self.speed:
-            raise ValueError(f"fastest must be below speed, {self.speed:g}, got {self.fastest:g}.")
-
-    def __call__(self, q: ArrayLike) -> Rates:
-        """The time of a motion of length 1 straight against the current.
-
-        Args:
-            q: Configurations, ``(n, dof)``.
-
-        Returns:
-            The times, ``(n,)``.
-
-        Raises:
-            ValueError: If the function returns another shape, or a velocity above ``fastest``.
-        """
-        velocity, _ = _vectors("velocity_fn", self.velocity_fn, self.fastest, np.asarray(q, np.float64))
-        return 1 / (self.speed - np.linalg.norm(velocity, axis=1))
-
-    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            The bounds, ``(n,)`` each.
-        """
-        center, spread, _ = self._within(lo, hi)
-        most = np.minimum(center + spread, self.fastest)
-        return 1 / (self.speed + most), 1 / (self.speed - most)
-
-    def pulls(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
-        """As :meth:`DirectionalCost.pulls`: twice what the current at the center adds.
-
-        A motion ``v`` in a current ``w`` takes ``(sqrt((w v)^2 + a v^2) - w v) / a``, where ``a`` is the square of
-        the speed less that of the current. The root is between ``sqrt(a)`` and the speed times ``|v|``.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            The current at the center over ``-a``, twice, and bounds of the rest within the box.
-        """
-        center, spread, velocity = self._within(lo, hi)
-        fastest, slowest = np.minimum(center + spread, self.fastest), np.maximum(center - spread, 0.0)
-        a, least, most = (self.speed**2 - of**2 for of in (center, fastest, slowest))
-        change = spread / least + center * np.maximum(1 / least - 1 / a, 1 / a - 1 / most)
-        pull = -velocity / a[:, None]
-        return pull, pull, 1 / np.sqrt(most) - change, self.speed / least + change
-
-    def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
-        """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
-        velocity, rounding = _vectors("velocity_fn", self.velocity_fn, self.fastest, (lo + hi) / 2)
-        spread = self.lipschitz * _radii(lo, hi, rounding) + rounding * self.fastest
-        return np.linalg.norm(velocity, axis=1), spread, velocity
-
-
-def _vectors(
-    name: str, vector_fn: Callable[[np.ndarray], ArrayLike], longest: float, q: Vectors
-) -> tuple[Vectors, float]:
-    """What a function of configurations returns, a vector each, none longer than was said, and their precision.
-
-    One that is longer by no more than that is made as long as was said.
-    """
-    answer = vector_fn(q)
-    vectors = as_numbers(f"{name}'s answer", answer, f"real numbers of shape {q.shape}")
-    if vectors.shape != q.shape:
-        raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
-    expected = f"{name} must return vectors of at most {longest:g}"
-    rounding, length = _ROUNDING * precision_of(answer), np.linalg.norm(vectors, axis=1)
-    _require(length <= (1 + rounding) * longest, expected, [vectors], [q])
-    return vectors * np.minimum(1, longest / np.maximum(length, longest or 1.0))[:, None], rounding
-
-
-def _check_numbers(cost: Any, fn: str, *numbers: str, positive: str = "") -> None:
-    """Refuse a cost whose ``fn`` is no function, or one of whose numbers is negative, or the positive one 0.
-
-    The numbers are kept as floats.
-    """
-    if not callable(getattr(cost, fn)):
-        raise ValueError(f"{fn} must be a function of configurations, got {shortened(getattr(cost, fn))}.")
-    for name in numbers:
-        vars(cost)[name] = as_finite(name, getattr(cost, name), positive=name == positive)
 
 
 def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
@@ -244,6 +63,26 @@ class DirectionalCost(CostMap, Protocol):
     A motion ``dq`` through ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive whichever way it goes.
     As a :class:`CostMap`, it answers and bounds what a motion of length 1 costs the dearest way; its lower bound is
     that of the cheapest way. It is for spaces whose ``motion_cost`` is a length, one block of weight 1.
+
+    Example:
+        Length, and ``rate`` more for each unit of climbing, on ground whose height has a gradient that is at most
+        ``steepest`` long and changes by at most ``lipschitz`` a unit of distance::
+
+            class Climb:
+                def __call__(self, q):
+                    return 1 + rate * np.linalg.norm(gradient(q), axis=1)
+
+                def bounds(self, lo, hi):
+                    return np.ones(len(lo)), np.full(len(lo), 1 + rate * steepest)
+
+                def pulls(self, lo, hi):
+                    spread = rate * lipschitz * np.linalg.norm(hi - lo, axis=1) / 2
+                    uphill = rate * gradient((lo + hi) / 2)
+                    return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
+
+        In a steady current ``w``, a vehicle of speed 1 needs the time ``(sqrt((w v)^2 + a |v|^2) - w v) / a`` for a
+        motion ``v``, where ``a = 1 - |w|^2`` (Zermelo). The root is between ``sqrt(a) |v|`` and ``|v|``, so both
+        pulls are ``-w / a``, ``least`` is ``1 / sqrt(a)`` and ``most`` is ``1 / a``.
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
@@ -278,7 +117,10 @@ class LipschitzCost:
     least: float
 
     def __post_init__(self):
-        _check_numbers(self, "cost_fn", "lipschitz", "least", positive="least")
+        if not callable(self.cost_fn):
+            raise ValueError(f"cost_fn must be a function of configurations, got {shortened(self.cost_fn)}.")
+        object.__setattr__(self, "lipschitz", as_finite("lipschitz", self.lipschitz))
+        object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
 
     def __call__(self, q: ArrayLike) -> Rates:
         """The factor at configurations.

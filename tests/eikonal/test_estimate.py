@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from eikonal_helpers import ROOM, BoxSpace
-from space_helpers import rectangle
+from space_helpers import Climb, rectangle
 
-from plr_jax import Climbing, LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, Workspace
+from plr_jax import LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, Workspace
 from plr_jax.eikonal.estimate import swept_estimate
 from plr_jax.geometry.box import Box
 
@@ -64,7 +64,7 @@ def test_walls_between_nodes_are_gone_around_and_sealed_rooms_are_not_reached():
 
 def test_climbing_evenly_costs_what_is_climbed():
     space, goal, uphill = BoxSpace(Box((0, 0), (1, 1))), np.array([0.4, 0.3]), np.array([0.6, -0.3])
-    climbing = Climbing(lambda q: np.broadcast_to(uphill, q.shape), rate=2.0, lipschitz=0.0, steepest=0.7)
+    climbing = Climb(lambda q: np.broadcast_to(uphill, q.shape), rate=2.0, lipschitz=0.0, steepest=0.7)
     q = samples(space.domain)
     truth = np.linalg.norm(goal - q, axis=1) + 2 * np.maximum((goal - q) @ uphill, 0)
     found = estimate_of(space, goal, 2_000, climbing)(q)

@@ -10,11 +10,10 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
-from space_helpers import far_from, nothing_known
+from space_helpers import Climb, far_from, nothing_known
 from space_helpers import rectangle as box
 
 from plr_jax import (
-    Climbing,
     LipschitzCost,
     PlanarArm,
     PlaneSpace,
@@ -393,7 +392,7 @@ def test_a_thin_strip_that_samples_miss_is_not_crossed_unawares():
 
 def test_the_way_up_costs_more_than_the_way_down():
     """On a slope along x, of 1 in 2, where a unit of climbing costs 3."""
-    ground = Climbing(lambda q: np.tile([0.5, 0.0], (len(q), 1)), rate=3.0, lipschitz=0.0, steepest=0.5)
+    ground = Climb(lambda q: np.tile([0.5, 0.0], (len(q), 1)), rate=3.0, lipschitz=0.0, steepest=0.5)
     low, high = np.array([0.2, 1.0]), np.array([1.8, 1.0])
     for start, goal, cost in ((low, high, 1.6 + 3 * 0.8), (high, low, 1.6)):
         way = descend(

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from space_helpers import Climb, SteadyCurrent
 
-from plr_jax.spaces import Climbing, CostMap, LipschitzCost
+from plr_jax import PlaneSpace, Workspace, solve_eikonal
+from plr_jax.spaces import CostMap, DirectionalCost, LipschitzCost, cost_bounds
 
 
 def bumpy(q):
@@ -33,10 +35,6 @@ def test_what_functions_round_in_32_bits_is_allowed_for():
     lower, upper = single.bounds(*ends)
     assert ((lower <= bumpy(x)) & (bumpy(x) <= upper)).all() and (upper - lower).max() < 1e-4
     np.testing.assert_array_equal(LipschitzCost(lambda q: np.full(len(q), np.float32(0.7)), 0.0, 0.7)(x), 0.7)
-    climbing = Climbing(lambda q: np.tile(np.float32([0.3, 0]), (len(q), 1)), 1.0, 0.0, 0.3)
-    _, uphill, least, most = climbing.pulls(*ends)
-    slope = uphill @ (1, 0)
-    assert (slope + least <= 1.3).all() and (slope + most >= 1.3).all()
 
 
 @pytest.mark.parametrize(
@@ -73,3 +71,55 @@ def test_functions_that_return_something_else_are_refused(cost_fn, message):
         LipschitzCost(cost_fn, 1.0, 0.5)(np.zeros((3, 2)))
     with pytest.raises(ValueError, match=message):
         LipschitzCost(cost_fn, 1.0, 0.5).bounds(np.zeros((3, 2)), np.ones((3, 2)))
+
+
+HILL = Climb(lambda q: np.stack([np.sin(q[:, 0]), q[:, 1]], axis=1) / 2, rate=1.5, lipschitz=0.5, steepest=2.0)
+CURRENT = SteadyCurrent((0.2, -0.1))
+SQUARE = PlaneSpace(Workspace(((0, 0), (1, 1))))
+
+
+def climbing_cost(q, v):
+    return np.linalg.norm(v, axis=1) + 1.5 * np.maximum(0, np.sum(HILL.gradient_fn(q) * v, axis=1))
+
+
+@pytest.mark.parametrize(("cost", "truth"), [(HILL, climbing_cost), (CURRENT, lambda q, v: CURRENT.time(v))])
+def test_bounds_of_directional_costs_hold_for_motions_all_ways_everywhere_in_boxes(cost, truth):
+    assert isinstance(cost, DirectionalCost)
+    rng = np.random.default_rng(0)
+    lo = rng.uniform(-1.5, 1.2, (300, 2))
+    hi = lo + rng.uniform(0, 0.3, (300, 2)) * 2.0 ** -rng.integers(0, 8, (300, 1))
+    least, most, pulls = cost_bounds(SQUARE.motion_cost, cost, lo, hi)
+    for _ in range(50):
+        angle = rng.uniform(0, 2 * np.pi, 300)
+        v = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        value = truth(lo + rng.random((300, 2)) * (hi - lo), v)
+        pull = np.sum(pulls * v, axis=2).max(axis=0)
+        assert (least + pull <= value + 1e-12).all() and (value <= most + pull + 1e-12).all()
+
+
+def test_a_steady_current_is_crossed_in_the_known_time():
+    goal = np.array([0.7, 0.6])
+    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=1_000)
+    x = np.random.default_rng(0).random((5_000, 2))
+    time = CURRENT.time(goal - x)
+    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
+    assert (lower <= time).all() and (time <= upper).all()
+    assert np.abs(np.asarray(plr(x)) - time).mean() < 0.02 * time.mean()
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("pulls", "message"),
+    [
+        (3, "pulls must be two arrays of vectors and two of numbers, got 3"),
+        ((np.zeros((1, 3)), np.zeros((1, 2)), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
+        ((np.zeros((1, 2)), np.full((1, 2), np.nan), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
+        ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * np.ones(1), np.ones(1)), "the least nowhere above the most"),
+        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number a point"),
+    ],
+)
+def test_pulls_that_are_none_are_refused(pulls, message):
+    cost = SteadyCurrent((0.2, -0.1))
+    cost.pulls = lambda lo, hi: pulls
+    with pytest.raises(ValueError, match=message):
+        cost_bounds(SQUARE.motion_cost, cost, np.zeros((1, 2)), np.ones((1, 2)))
