@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
 
 from plr_jax import VisibilityGraph
+from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.cell_sight import CellSight, Shadows, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
 from plr_jax.geometry.corners import corner_visibility
@@ -26,7 +27,7 @@ def shadows_around(workspace, *open_points):
 
 def free_pieces(workspace, rng, n):
     """What random boxes, a few aligned with a lattice, leave of the triangles of free space."""
-    triangles, parts = workspace.triangulation.triangles.transpose(2, 0, 1), []
+    triangles, parts = as_pieces(triangulate(workspace.free_space)), []
     for _ in range(n):
         lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
         if rng.random() < 0.3:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import as_pieces, box, points_of, polygons, random_pieces
 
@@ -30,7 +30,6 @@ def check_left(kept, exact):
 
 
 @given(SEEDS)
-@settings(max_examples=25)
 def test_what_a_line_leaves_is_what_shapely_leaves(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
@@ -72,7 +71,6 @@ def test_areas_far_from_the_origin_keep_their_digits():
 
 
 @given(SEEDS)
-@settings(max_examples=20)
 def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
@@ -93,7 +91,6 @@ def test_a_piece_contains_its_corners_and_what_is_beside_it_within_the_tolerance
 
 
 @given(SEEDS)
-@settings(max_examples=20)
 def test_what_a_box_leaves_is_what_shapely_leaves(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
@@ -119,7 +116,6 @@ def test_boxes_as_pieces():
 
 
 @given(SEEDS)
-@settings(max_examples=20)
 def test_parts_of_cells_have_what_shapely_leaves_of_the_cells_pieces(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
@@ -197,7 +193,6 @@ def check_difference(rng, pieces, one, two, offsets):
 
 
 @given(SEEDS)
-@settings(max_examples=40)
 def test_extremes_of_the_difference_are_those_a_search_finds(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
@@ -206,7 +201,6 @@ def test_extremes_of_the_difference_are_those_a_search_finds(seed):
 
 
 @given(SEEDS)
-@settings(max_examples=20)
 def test_extremes_hold_for_pieces_as_clipping_leaves_them(seed):
     """Corners doubled up by rounding, edges of a hair, apexes that are corners of what was cut."""
     rng = np.random.default_rng(seed)
@@ -243,7 +237,6 @@ def test_differences_over_a_square(one, two, expected, atol):
 
 
 @given(SEEDS)
-@settings(max_examples=40)
 def test_extremes_above_a_plane_are_those_a_search_finds(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)

@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -63,7 +63,6 @@ def test_many_points_are_searched_in_parts(monkeypatch):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40)
 def test_ways_that_differ_from_point_to_point(seed):
     rng = np.random.default_rng(seed)
     counts = rng.integers(0, 6, 12)

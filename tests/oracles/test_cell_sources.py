@@ -129,13 +129,6 @@ def test_a_wall_and_four_quarters_by_hand():
     assert named(oracle.cell_sources(Box((8, 4.5), (9, 5.5)))) == [[6, 2], [6, 8]]
 
 
-def test_cells_that_are_free_altogether_are_one_piece():
-    root = VisibilityGraph(MIDDLE, (1, 5)).cell_sources(DOMAINS[0])
-    cells, lo, hi = halved(root, DOMAINS[0], np.random.default_rng(4), 1)
-    free = shapely.area(shapely.intersection(MIDDLE.obstacles[0], shapely.box(*lo.T, *hi.T))) == 0
-    assert free.sum() > 4 and (np.bincount(cells.cell, minlength=len(lo))[free] == 1).all()
-
-
 def test_outlines_whose_slanted_edges_end_on_the_bounds_are_whole():
     """What ``shapely.clip_by_rect`` makes of them is larger than they are."""
     workspace = Workspace.from_mask(np.array([[1, 1, 1, 1], [0, 1, 0, 0], [1, 1, 1, 1]], bool))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plr_jax import Box
@@ -47,7 +47,6 @@ def bits_of(domain, cones):
 
 @pytest.mark.parametrize("lattice", LATTICES)
 @given(st.integers(0, 100_000), st.integers(1, 5), st.sampled_from([1, 2, 17, 60]))
-@settings(max_examples=12, deadline=None)
 def test_what_is_written_is_read(lattice, seed, dim, count):
     rng = np.random.default_rng(seed)
     points, distances, parents = random_sources(rng, dim, count, lattice)
@@ -112,7 +111,6 @@ def test_ranks_are_few_bits_where_leaves_take_turns():
 
 
 @given(st.binary(max_size=400), st.integers(1, 5), st.integers(1, 300))
-@settings(max_examples=150, deadline=None)
 def test_arbitrary_bits_are_read_or_refused(data, dim, num_leaves):
     try:
         found = read_cones(BitReader(data), Box(np.zeros(dim), np.ones(dim)), num_leaves)

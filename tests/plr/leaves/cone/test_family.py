@@ -39,9 +39,9 @@ def levels_of_family(monkeypatch, workspace, goals, max_leaves):
     return given[0][0], given[0][1], len(task.halves)
 
 
-@pytest.mark.parametrize("splits", [0, 1, 3, 5])
-def test_all_cells_of_so_many_splits_and_their_halves(splits):
-    task = task_of(MAZE, VisibilityGraph(MAZE, (0.06, 0.07)), limits_of(8 * 2**splits))
+@pytest.mark.parametrize(("splits", "limits"), [(0, (8,)), (3, (64,)), (5, (256,)), (4, (10**6, 4))])
+def test_all_cells_of_so_many_splits_and_their_halves(splits, limits):
+    task = task_of(MAZE, VisibilityGraph(MAZE, (0.06, 0.07)), limits_of(*limits))
     assert len(task.halves) == splits == len(task.tops) - 1
     for number, cells in enumerate(task.tops):
         shapes = [(i, number - i) for i in range(number + 1) if abs(number - 2 * i) <= MAX_ASPECT_BITS]
@@ -52,11 +52,6 @@ def test_all_cells_of_so_many_splits_and_their_halves(splits):
         half, expected = below[child[axis, side, box]], cells[box].halves(axis, side == 1)
         np.testing.assert_array_equal(half.depth, expected.depth)
         np.testing.assert_array_equal(half.position, expected.position)
-
-
-def test_depth_limits_hold_the_start():
-    task = task_of(MAZE, VisibilityGraph(MAZE, (0.06, 0.07)), limits_of(10**6, max_depth=4))
-    assert len(task.halves) == 4
 
 
 @pytest.mark.parametrize("workspace", [MAZE, CORNER], ids=["maze", "corner"])

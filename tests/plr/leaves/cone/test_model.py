@@ -10,7 +10,7 @@ from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 
 from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
-from plr_jax.plr import construct, from_bytes
+from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone import search
@@ -41,6 +41,7 @@ def test_a_maze_in_a_kilobyte_less_and_of_fewer_leaves(cones, maze):
     assert mean_error(small, maze, x) < 1e-5 < mean_error(few, maze, x) < 0.1
 
 
+@pytest.mark.full
 def test_a_leaf_among_clutter_takes_little_memory():
     """All pairs of 400 corners and the triangles of free space took a gigabyte, of more corners all there was."""
     free = np.ones((60, 60), bool)
@@ -67,15 +68,6 @@ def test_a_query_is_the_cone_of_the_points_leaf_around_a_source_of_the_oracle(co
     np.testing.assert_allclose(cones.values_in_leaves(leaf, x), offset[leaf] + length, rtol=1e-14)
     gradient = np.asarray(jax.vmap(jax.grad(cones))(jnp.asarray(x, jnp.float32)))  # leads away from the source
     np.testing.assert_allclose(gradient[length > 0.01], (leg / length[:, None])[length > 0.01], atol=1e-4)
-
-
-def test_queries_under_jit_vmap_and_from_a_file_are_the_same(cones):
-    x = jnp.asarray(points(1000, 1), jnp.float32)
-    again = from_bytes(cones.to_bytes())
-    assert again.to_bytes() == cones.to_bytes()
-    np.testing.assert_array_equal(again(x), cones(x))
-    np.testing.assert_allclose(jax.jit(lambda plr, x: plr(x))(cones, x), cones(x), rtol=1e-6)
-    np.testing.assert_allclose(jax.vmap(cones)(x), cones(x), rtol=1e-6)
 
 
 def test_the_gradient_is_zero_at_a_source():
