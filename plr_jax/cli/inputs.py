@@ -218,7 +218,7 @@ class NamedMap:
             ValueError: If the file is damaged, has no such option, or no goal is given.
         """
         from plr_jax.geometry.box import Box
-        from plr_jax.scenes._volumes import is_mesh, volume_of
+        from plr_jax.scenes._volumes import MESH_ENDINGS, volume_of
         from plr_jax.spaces import VoxelSpace
 
         others = [key for key in self.given() if key not in ("goal", "radius", *_VOLUME_OPTIONS)]
@@ -233,7 +233,7 @@ class NamedMap:
                     f"--box must be two corners X,Y,Z,X,Y,Z in one argument, such as 0,0,0,4,3,2, got {self.box!r}."
                 )
             box = Box.of(np.reshape(corners, (2, -1)), "--box")
-        if is_mesh(self.name):
+        if Path(self.name).suffix.lower() in MESH_ENDINGS:
             if self.resolution is None:
                 raise ValueError(f"{self.name} is a mesh: give the side of a voxel with --resolution.")
             if self.enclosed not in (None, "blocked", "free"):

@@ -13,7 +13,6 @@ from plr_jax._files import errors_named, format_name, json_of, require_format, w
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
-from plr_jax.scenes._geojson import rings_of
 
 _KIND = "scene"
 _VERSION = 3
@@ -141,12 +140,14 @@ def _robot(i: int, entry: Any, version: int) -> Robot:
 
 
 def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
-    parts = shapely.get_parts(workspace.obstacles)
-    return {
-        "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
-        "squeeze": workspace.squeeze,
-        "obstacles": [rings_of(polygon) for polygon in parts[~shapely.is_empty(parts)]],
-    }
+    obstacles = []
+    for polygon in shapely.get_parts(workspace.obstacles):
+        if not polygon.is_empty:
+            rings = (polygon.exterior, *polygon.interiors)
+            outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in rings)
+            obstacles.append({"outer": outer, "holes": holes})
+    bounds = [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()]
+    return {"bounds": bounds, "squeeze": workspace.squeeze, "obstacles": obstacles}
 
 
 def _workspace(entry: Any) -> Workspace:

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import shapely
-from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._files import errors_named, json_of
@@ -17,8 +16,6 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import as_polygon
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-
-# Reader of polygon files: free space as outer rings with holes, in JSON.
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
@@ -45,26 +42,16 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
     """
     path = Path(path)
     with errors_named(path):
-        return Workspace.from_polygons(_components(json_of(path)), squeeze=squeeze)
-
-
-def rings_of(polygon: shapely.Polygon) -> dict[str, Any]:
-    """A polygon as a document holds it: ``{"outer": ring, "holes": [ring, ...]}``."""
-    outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors))
-    return {"outer": outer, "holes": holes}
-
-
-def _components(data: Any) -> list[Any]:
-    match data:
-        case {"components": list(components)}:
-            return components
-        case {"outer": _}:
-            return [data]
-        case {"boundary": ring}:
-            return [{**data, "outer": ring}]
-    raise ValueError(
-        'expected {"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}.'
-    )
+        match json_of(path):
+            case {"components": list(components)}:
+                pass
+            case {"outer": outer, **others} | {"boundary": outer, **others}:
+                components = [{**others, "outer": outer}]
+            case _:
+                raise ValueError(
+                    'expected {"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}.'
+                )
+        return Workspace.from_polygons(components, squeeze=squeeze)
 
 
 _DEGREES = np.array([180.0, 90.0])
@@ -75,7 +62,7 @@ _HOLDS = {
     "GeometryCollection": "geometries",
     "MultiPolygon": "coordinates",
     "Polygon": "coordinates",
-}  # what is read, and the key under which it holds what it is made of
+}  # objects that are read, and the key of their parts
 _NOT_READ = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 
@@ -121,14 +108,33 @@ def read_geojson(
         if not found:
             raise ValueError("expected a polygon at least, got none: the file has no feature with a geometry.")
         extent = shapely.total_bounds(found).reshape(2, 2)
-        _warn_of_degrees(path, extent)
-        box = Box.of(_bbox(document, extent) if bounds is None else bounds, "bounds")
+        width = np.ptp(extent, axis=0).max()
+        # Coordinates of a town in degrees are far from the origin for their extent, and no more than 180 and 90.
+        if (np.abs(extent) <= _DEGREES).all() and width < _SMALL and np.abs(extent).max() > 10 * width:
+            warnings.warn(
+                f"{path}: coordinates look like degrees of longitude and latitude. They are taken for points of a "
+                "plane, in which a degree is as long along x as along y; project them first, to UTM for one.",
+                stacklevel=2,
+            )
+        bbox = document.get("bbox")
+        if bounds is not None:
+            box = Box.of(bounds, "bounds")
+        elif bbox is None:
+            box = Box.of(extent, "bounds")
+        else:  # west, south, east and north, perhaps with altitudes
+            half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
+            if not (half and _is_position(bbox) and _is_position(bbox[half:])):
+                raise ValueError(
+                    'expected "bbox" to be 4 finite numbers, [x0, y0, x1, y1], or 6 with altitudes, '
+                    f"got {shortened(bbox)}."
+                )
+            box = Box.of((bbox[:2], bbox[half : half + 2]), "bounds")
         if polygons == "free":
             return Workspace.from_polygons(found, box, squeeze=squeeze)
         try:
             return Workspace(box, found, squeeze=squeeze)
         except ValueError as error:
-            if bounds is not None or document.get("bbox") is not None:
+            if bounds is not None or bbox is not None:
                 raise
             raise ValueError(
                 f'{error} They are the bounding box of the polygons: give the file a "bbox" with room around those '
@@ -171,15 +177,12 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 def _polygon(rings: Any, where: str) -> Any:
     if not isinstance(rings, list) or not rings:
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
-    outer, *holes = (_ring(ring, where) for ring in rings)
+    for ring in rings:
+        if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
+            expected = "a ring, a list of at least 3 finite points [x, y] of numbers"
+            raise ValueError(f"{where}: expected {expected}, got {shortened(ring)}.")
+    outer, *holes = (np.array([point[:2] for point in ring], dtype=np.float64) for ring in rings)
     return as_polygon(where, shapely.Polygon(outer, holes))
-
-
-def _ring(ring: Any, where: str) -> Float[np.ndarray, "n 2"]:
-    if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
-        expected = "a ring, a list of at least 3 finite points [x, y] of numbers"
-        raise ValueError(f"{where}: expected {expected}, got {shortened(ring)}.")
-    return np.array([point[:2] for point in ring], dtype=np.float64)
 
 
 def _is_position(value: Any) -> bool:
@@ -189,27 +192,3 @@ def _is_position(value: Any) -> bool:
         and len(value) >= 2
         and all(type(along) in (int, float) and math.isfinite(along) for along in value[:2])
     )
-
-
-def _bbox(document: dict[str, Any], extent: Float[np.ndarray, "2 2"]) -> Any:
-    """The box that a document states, west, south, east and north, perhaps with altitudes; or the extent."""
-    bbox = document.get("bbox")
-    if bbox is None:
-        return extent
-    half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
-    if not (half and _is_position(bbox) and _is_position(bbox[half:])):
-        raise ValueError(
-            f'expected "bbox" to be 4 finite numbers, [x0, y0, x1, y1], or 6 with altitudes, got {shortened(bbox)}.'
-        )
-    return bbox[:2], bbox[half : half + 2]
-
-
-def _warn_of_degrees(path: Path, extent: Float[np.ndarray, "2 2"]) -> None:
-    """Warn of coordinates like those of a town: far from the origin for their extent, and no more than degrees."""
-    width = np.ptp(extent, axis=0).max()
-    if (np.abs(extent) <= _DEGREES).all() and width < _SMALL and np.abs(extent).max() > 10 * width:
-        warnings.warn(
-            f"{path}: coordinates look like degrees of longitude and latitude. They are taken for points of a plane, "
-            "in which a degree is as long along x as along y; project them first, to UTM for one.",
-            stacklevel=3,
-        )

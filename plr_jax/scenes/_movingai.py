@@ -66,7 +66,16 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
-    rows, columns = _header(lines)
+    match [line.split() for line in lines[:_HEADER_LINES]]:
+        case [["type", _], ["height", height], ["width", width], ["map"]] if (
+            height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
+        ):
+            rows, columns = int(height), int(width)
+        case _:
+            raise ValueError(
+                "not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' "
+                "at its beginning."
+            )
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
         raise ValueError(f"the map is cut short: its header promises {rows} rows, it has {len(grid)}.")
@@ -77,19 +86,6 @@ def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
     if not free.any():
         raise ValueError(f"the map has no passable cell (one of {', '.join(_PASSABLE)}).")
     return free
-
-
-def _header(lines: list[str]) -> tuple[int, int]:
-    """Rows and columns promised by ``type ... / height N / width N / map``."""
-    words = [line.split() for line in lines[:_HEADER_LINES]]
-    match words:
-        case [["type", _], ["height", height], ["width", width], ["map"]] if (
-            height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
-        ):
-            return int(height), int(width)
-    raise ValueError(
-        "not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' at its beginning."
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,25 +127,23 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
         lines = text_of(path).splitlines()
         if not lines or lines[0].split()[:1] != ["version"]:
             raise ValueError("not a Moving AI scenario: expected its first line to be 'version 1'.")
-        rows = [_query(number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
+        names, rows = [], []
+        for number, line in enumerate(lines[1:], start=2):
+            if not line.strip():
+                continue
+            fields = line.split("\t") if "\t" in line else line.split()
+            try:
+                numbers = [float(field) for field in fields[4:]]
+            except ValueError:
+                numbers = []
+            if len(fields) != _SCEN_COLUMNS or not numbers or not np.isfinite(numbers).all():
+                raise ValueError(
+                    f"line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
+                    f"and octile length, got {shortened(line)}."
+                )
+            names.append(fields[1])
+            rows.append(numbers)
         if not rows:
             raise ValueError("the scenario has no queries.")
-    numbers = np.array([row[1] for row in rows])
-    return Scenario(rows[0][0], numbers[:, 0:2], numbers[:, 2:4], numbers[:, 4])
-
-
-def _query(number: int, line: str) -> tuple[str, list[float]]:
-    """Map name and ``start x, start y, goal x, goal y, length`` of one line."""
-    fields = line.split("\t") if "\t" in line else line.split()
-    try:
-        if len(fields) != _SCEN_COLUMNS:
-            raise ValueError
-        numbers = [float(field) for field in fields[4:]]
-        if not np.isfinite(numbers).all():
-            raise ValueError
-    except ValueError:
-        raise ValueError(
-            f"line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
-            f"and octile length, got {shortened(line)}."
-        ) from None
-    return fields[1], numbers
+    table = np.array(rows)
+    return Scenario(names[0], table[:, 0:2], table[:, 2:4], table[:, 4])

@@ -1,22 +1,36 @@
-"""Readers of volumes: arrays of voxels, lists of occupied ones, and meshes."""
+"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes of triangles."""
 
+import io
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_bool, as_finite, shortened
+from plr_jax._arrays import as_bool, as_finite, parts, runs, shortened
 from plr_jax._files import errors_named, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.scenes._meshes import MESH_ENDINGS, free_of_mesh, triangles_of
 
+MESH_ENDINGS = (".stl", ".obj", ".ply")
 VOLUME_ENDINGS = (".npy", ".3dmap", *MESH_ENDINGS)
 _MOST_VOXELS, _MOST_RANK = 2**28, 4
-_SMALL, _VOXELS_PER_BYTE = 2**24, 2**8  # what a list may promise, whatever it holds, and else for what it holds
-_MOST_BYTES = 2**25  # of a list
+_MOST_LIST_BYTES = 2**25
+_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may promise this many voxels, or this many for each byte
+
+_MOST_MESH_BYTES, _MOST_MESH_VOXELS = 2**26, 2**24
+_MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows that pieces of triangles reach, and voxels that they meet
+_AT_A_TIME = 2**15  # slabs or rows, which bounds the memory
+_TOUCHES = 1e-6  # of a voxel: how far from a voxel the surface still counts as meeting it
+_FARTHEST = 2**30  # voxels from the bounds: rounding of coordinates stays below `_TOUCHES`
+_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL file
+
+Triangles: TypeAlias = Float[np.ndarray, "n 3 3"]
+Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
+Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
 
 def read_volume(
@@ -63,45 +77,37 @@ def read_volume(
     """
     free, _ = volume_of(path, pitch, bounds, fill)
     if not free.any():
-        enclosed = ": fill=False leaves free what the surface encloses" if is_mesh(path) and fill else ""
+        is_filled_mesh = fill and Path(path).suffix.lower() in MESH_ENDINGS
+        enclosed = ": fill=False leaves free what the surface encloses" if is_filled_mesh else ""
         raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
     return free
-
-
-def is_mesh(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is of a mesh, by its ending."""
-    return Path(path).suffix.lower() in MESH_ENDINGS
 
 
 def volume_of(
     path: str | os.PathLike[str], pitch: float | int | None, bounds: Box | ArrayLike | None, fill: bool
 ) -> tuple[Bool[np.ndarray, "..."], Box]:
-    """Which voxels of a volume are free, and the box that they fill: in units of the mesh, else of voxels."""
+    """Return which voxels of a volume are free, and the box that they fill, in units of the mesh or of voxels."""
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
     with errors_named(path):
         if ending not in VOLUME_ENDINGS:
             raise ValueError(f"expected a file that ends in one of {', '.join(VOLUME_ENDINGS)}.")
-        if is_mesh(path):
-            return _read_mesh(path, pitch, bounds, fill)
-        if pitch is not None or bounds is not None or not fill:
-            raise ValueError(f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out.")
-        free = _READERS[ending](path)
-        return free, Box(np.zeros(free.ndim), free.shape)
-
-
-def _read_mesh(
-    path: Path, pitch: float | None, bounds: Box | ArrayLike | None, fill: bool
-) -> tuple[Bool[np.ndarray, "x y z"], Box]:
-    if pitch is None:
-        raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
-    pitch = as_finite("pitch", pitch, positive=True)
-    box = None if bounds is None else Box.of(bounds, "bounds")
-    if box is not None and box.dim != 3:
-        raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-    triangles = triangles_of(path)
-    free, lo = free_of_mesh(triangles, pitch, box, fill), triangles.min(axis=(0, 1)) if box is None else box.lo
-    return free, Box(lo, lo + pitch * np.array(free.shape))
+        if ending not in MESH_ENDINGS:
+            if pitch is not None or bounds is not None or not fill:
+                raise ValueError(
+                    f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out."
+                )
+            free = _read_array(path) if ending == ".npy" else _read_list(path)
+            return free, Box(np.zeros(free.ndim), free.shape)
+        if pitch is None:
+            raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
+        pitch = as_finite("pitch", pitch, positive=True)
+        box = None if bounds is None else Box.of(bounds, "bounds")
+        if box is not None and box.dim != 3:
+            raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
+        triangles = _read_mesh(path)
+        free, lo = free_of_mesh(triangles, pitch, box, fill), triangles.min(axis=(0, 1)) if box is None else box.lo
+        return free, Box(lo, lo + pitch * np.array(free.shape))
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
@@ -120,45 +126,155 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
     return np.array(numbers, dtype=bool, order="C")
 
 
-def _read_list(path: Path) -> Bool[np.ndarray, "x y z"]:
-    text = text_of(path, _MOST_BYTES)
+def _read_list(path: Path) -> Voxels:
+    text = text_of(path, _MOST_LIST_BYTES)
     first, _, rest = text.partition("\n")
-    shape = _promised(first, len(text))
-    blocked = _indices(rest.splitlines())
-    bad = ~((blocked >= 0) & (blocked < shape) & (blocked == np.floor(blocked))).all(axis=1)
-    if bad.any():
-        raise ValueError(f"expected indices of voxels within {shape}, got {blocked[bad.argmax()].tolist()}.")
-    free = np.ones(shape, bool)
-    free[tuple(blocked.astype(np.int64).T)] = False
-    return free
-
-
-def _promised(line: str, num_bytes: int) -> tuple[int, int, int]:
-    """How many voxels there are along each axis, by the first line."""
-    match line.split():
+    # 1. How many voxels there are along each axis.
+    match first.split():
         case ["voxel", *sizes] if len(sizes) == 3 and all(size.isdecimal() and len(size) < 10 for size in sizes):
             shape = int(sizes[0]), int(sizes[1]), int(sizes[2])
         case _:
             raise ValueError(
-                f"not a list of voxels: expected 'voxel nx ny nz' in its first line, got {shortened(line)}."
+                f"not a list of voxels: expected 'voxel nx ny nz' in its first line, got {shortened(first)}."
             )
-    most = min(_MOST_VOXELS, max(_SMALL, _VOXELS_PER_BYTE * num_bytes))
+    most = min(_MOST_VOXELS, max(_SMALL_LIST, _VOXELS_PER_BYTE * len(text)))
     if not 0 < shape[0] * shape[1] * shape[2] <= most:
         raise ValueError(f"expected one to {most:,} voxels in a file of this size, got {' x '.join(sizes)}.")
-    return shape
-
-
-def _indices(lines: list[str]) -> Float[np.ndarray, "voxels 3"]:
-    lines = [line for line in lines if line and not line.isspace()]
+    free = np.ones(shape, bool)
+    # 2. The indices of those that are blocked.
+    lines = [line for line in rest.splitlines() if line and not line.isspace()]
     if not lines:
-        return np.zeros((0, 3))
+        return free
     try:
-        indices = np.loadtxt(lines, comments=None, ndmin=2)
+        blocked = np.loadtxt(lines, comments=None, ndmin=2)
     except ValueError as error:
         raise ValueError(f"expected a blocked voxel 'x y z' a line ({error}).") from None
-    if indices.shape[1] != 3:
+    if blocked.shape[1] != 3:
         raise ValueError(f"expected a blocked voxel 'x y z' a line, got {shortened(lines[0])}.")
-    return indices
+    bad = ~((blocked >= 0) & (blocked < shape) & (blocked == np.floor(blocked))).all(axis=1)
+    if bad.any():
+        raise ValueError(f"expected indices of voxels within {shape}, got {blocked[bad.argmax()].tolist()}.")
+    free[tuple(blocked.astype(np.int64).T)] = False
+    return free
 
 
-_READERS: dict[str, Callable[[Path], Bool[np.ndarray, "..."]]] = {".npy": _read_array, ".3dmap": _read_list}
+def _read_mesh(path: Path) -> Triangles:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise ImportError(
+            "Meshes are read by trimesh, which is not installed: pip install 'plr-jax[meshes]'."
+        ) from error
+    with path.open("rb") as file:
+        data = file.read(_MOST_MESH_BYTES + 1)
+    if len(data) > _MOST_MESH_BYTES:
+        raise ValueError(f"expected a mesh of at most {_MOST_MESH_BYTES:,} bytes, got a larger file.")
+    kind = path.suffix[1:].lower()
+    num_triangles = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
+    is_binary_stl = kind == "stl" and len(data) == _STL_HEADER + _STL_TRIANGLE * num_triangles
+    if kind == "obj" or (kind == "stl" and not is_binary_stl):
+        data = data.decode("utf-8", "replace").encode()  # or trimesh would guess the encoding of the text
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)  # trimesh logs tracebacks of parts of a file that it does without
+    try:  # from memory, so that files that the mesh names are not looked for
+        options: Any = {"process": False, "skip_materials": True}
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, **options)
+        triangles = np.asarray(mesh.triangles, np.float64)
+    except Exception as error:  # trimesh's readers raise anything
+        raise ValueError(f"expected a mesh, got something else or a damaged file ({error}).") from None
+    finally:
+        log.setLevel(level)
+    if triangles.shape[1:] != (3, 3) or not len(triangles) or not np.isfinite(triangles).all():
+        raise ValueError("expected a mesh of triangles with corners 'x y z', finite ones, got none or others.")
+    return triangles
+
+
+def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
+    """Return which voxels of a grid over the bounds, or over the bounding box of the mesh, are free of the mesh."""
+    lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
+    hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
+    with np.errstate(over="ignore", invalid="ignore"):
+        count = np.maximum(1.0, np.ceil((hi - lo) / pitch - _TOUCHES))
+        triangles = (triangles - lo) / pitch
+    if not count.prod() <= _MOST_MESH_VOXELS:
+        sizes = " x ".join(f"{along:.6g}" for along in count)
+        raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
+    blocked = np.zeros(count.astype(np.int64).tolist(), bool)
+    meets = (triangles.min(axis=1) <= count + 1) & (triangles.max(axis=1) >= -1)
+    _block_surface(triangles[meets.all(axis=1)], blocked)
+    free = ~blocked
+    if not fill:
+        return free
+    # What no way, face by face, joins to the faces of the grid is enclosed.
+    from scipy import ndimage
+
+    labeled: Any = ndimage.label(free)
+    part = labeled[0]
+    reached = np.zeros(int(part.max()) + 1, bool)
+    for axis in range(part.ndim):
+        reached[np.take(part, (0, -1), axis)] = True
+    reached[0] = False
+    return reached[part]
+
+
+# Scan conversion: triangles are cut into slabs between planes of the grid, these into rows along another axis, and
+# what is left of a triangle in a row meets a run of voxels. Pieces are convex: their outlines say how far they reach.
+
+
+def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
+    """Block all voxels that triangles, in units of voxels, meet, their faces included."""
+    if not (np.abs(triangles) <= _FARTHEST).all():
+        raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that leads farther.")
+    order = np.argsort(blocked.shape, kind="stable")  # runs along the longest axis
+    blocked, corners = blocked.transpose(order), triangles.transpose(2, 1, 0)[order]
+    edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
+    edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
+    num_rows = num_met = 0
+    for triangle, slab in _layers(edges[0], blocked.shape[0]):
+        outlines = _outlines(_clipped(edges[..., triangle], slab))
+        for piece, row in _layers(outlines[0], blocked.shape[1]):
+            (along,) = _clipped(outlines[..., piece], row)
+            first, count = _reaches(along, blocked.shape[2])
+            num_rows, num_met = num_rows + len(row), num_met + int(count.sum())
+            if num_rows > _MOST_ROWS or num_met > _MOST_MET:
+                raise ValueError("the triangles meet too many voxels, one after the other: give a larger pitch.")
+            run, place = runs(count)
+            blocked[slab[piece][run], row[run], first[run] + place] = True
+
+
+def _layers(
+    ends: Float[np.ndarray, "2 _ n"], size: int
+) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
+    """Pieces and the layers of the grid across an axis that they reach into, some at a time."""
+    first, count = _reaches(ends, size)
+    for part in parts(count, _AT_A_TIME):
+        piece, place = runs(count[part])
+        yield piece + part.start, first[part][piece] + place
+
+
+def _reaches(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """The first layer across an axis that each piece reaches into, and how many of them the grid has."""
+    lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
+    first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
+    last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
+    return first, np.maximum(last - first + 1, 0)
+
+
+def _clipped(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
+    """What of edges is within a layer each across the first axis, along the others; NaN if nothing is."""
+    begin, end = edges[0]
+    change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
+    change[change == 0] = np.nan  # an edge in the layer, all of it, or in none
+    enters, leaves = (floor - begin) / change, (ceiling - begin) / change
+    shares = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
+    is_outside = (np.maximum(begin, end) < floor) | (np.minimum(begin, end) > ceiling)
+    ends = [edges[1:, 0] + np.where(is_outside, np.nan, share) * (edges[1:, 1] - edges[1:, 0]) for share in shares]
+    return np.stack(ends, axis=1)
+
+
+def _outlines(edges: Edges) -> Edges:
+    """The outlines of triangles in slabs: of edges, which ascend, what is within, and what joins their ends."""
+    return np.concatenate(
+        [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
+    )

@@ -5,7 +5,7 @@ import pytest
 from volume_files import stl_files
 
 from plr_jax import Box, scenes
-from plr_jax.scenes._meshes import free_of_mesh
+from plr_jax.scenes._volumes import free_of_mesh
 
 CUBE = [[2, 0, 3], [0, 1, 3], [4, 6, 7], [5, 4, 7], [0, 4, 5], [1, 0, 5], [2, 3, 7], [6, 2, 7], [0, 2, 6], [4, 0, 6]]
 CUBE += [[1, 5, 7], [3, 1, 7]]
@@ -135,7 +135,7 @@ def test_too_much_work_is_refused(monkeypatch):
     assert not free_of_mesh(triangles, 1.0, None, fill=False).all()
     for limit, most in (("_MOST_ROWS", 3000), ("_MOST_MET", 5000)):
         with monkeypatch.context() as changed, pytest.raises(ValueError, match=r"too many voxels.* larger pitch"):
-            changed.setattr(f"plr_jax.scenes._meshes.{limit}", most)
+            changed.setattr(f"plr_jax.scenes._volumes.{limit}", most)
             free_of_mesh(triangles, 1.0, None, fill=False)
 
 
