@@ -8,8 +8,8 @@ legible when the picture is set into a dark page, and use colors that color-blin
 """
 
 from plr_jax.plot._animation import Animation, animate
-from plr_jax.plot._field_page import Page, page
-from plr_jax.plot._page import save
+from plr_jax.plot._axes import save
+from plr_jax.plot._page import Page, page
 from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
 from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_surface, plot_workspace
 from plr_jax.plot._slices import slices

@@ -19,7 +19,8 @@ from plr_jax._arrays import as_finite, as_number
 from plr_jax._files import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
-from plr_jax.plot._html import (
+from plr_jax.plot._axes import new_axes
+from plr_jax.plot._page import (
     BORDER,
     PLAY,
     document,
@@ -31,7 +32,6 @@ from plr_jax.plot._html import (
     view_box,
     view_of,
 )
-from plr_jax.plot._page import new_axes
 from plr_jax.plot._paths import (
     Timeline,
     add_body,
@@ -64,22 +64,20 @@ _CONTROLS_OF_TIME = f"""<div class="controls">
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """The page as HTML."""
-    told = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
+    """Return a page that plays a path, as HTML."""
+    content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
-    script = part("clock.js") + part("player.js").replace("{{motion}}", told)
+    script = part("clock.js") + part("player.js").replace("{{motion}}", content)
     return document(f"Path of {len(problem.robots)} robots", part("player.css"), body, script)
 
 
-def embedded(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """The page in a frame."""
-    bounds = problem.workspace.bounds
-    width, height = pixel_scale(bounds) * bounds.width + 2 * (BORDER + _PADDING)
-    return framed(player(problem, motion, seconds), width, height + _CONTROLS)
-
-
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """What the page needs to know of the path; coordinates to a twentieth of a pixel or finer."""
+    """Return what the script needs to know of the path; coordinates to a twentieth of a pixel or finer."""
+
+    def short(value: float, digits: int) -> float | int:
+        rounded = round(float(value), digits)
+        return int(rounded) if rounded == int(rounded) else rounded
+
     bounds = problem.workspace.bounds
     digits = max(0, 4 - math.floor(math.log10(bounds.width.max())))
     headings = [robot.dof == 3 for robot in problem.robots]
@@ -88,10 +86,10 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
         "hold": HOLD,
         "view": view_of(bounds),
         "duration": motion.duration,
-        "times": [_number(share, 6) for share in motion.times / motion.duration],
+        "times": [short(share, 6) for share in motion.times / motion.duration],
         "steps": [
             [
-                [_number(x, digits), _number(y, digits)] + ([_number(rest[0], 4)] if turns else [])
+                [short(x, digits), short(y, digits)] + ([short(rest[0], 4)] if turns else [])
                 for (x, y, *rest), turns in zip(step, headings, strict=True)
             ]
             for step in motion.configurations
@@ -99,72 +97,45 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     }
 
 
-def _number(value: float, digits: int) -> float | int:
-    """A number in as few characters as its digits need."""
-    rounded = round(float(value), digits)
-    return int(rounded) if rounded == int(rounded) else rounded
-
-
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Everything at its place at time 0; the script moves what moves."""
-    bounds = problem.workspace.bounds
-    width, height = pixel_scale(bounds) * bounds.width
-    robots = range(len(problem.robots))
-    frame = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
+    """Return the picture at time 0. The script moves robots and trails, which it finds by their names."""
+    bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
+    width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
-    parts = [obstacles, frame]
-    parts += [_track(problem, motion, i, "track") for i in robots]
-    parts += [_goal(problem, i) for i in robots]
-    parts += [_track(problem, motion, i, "trail") for i in robots]
-    parts += [_robot(problem, i) for i in robots]
+    frame = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
+    tracks, goals, trails, bodies = [], [], [], []
+    for i, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
+        color = color_of(i)
+        line = f'stroke="{color}" style="--color:{color}"'  # a dark page lightens lines
+        # 1. The whole track as a thin line, and the trail, which grows.
+        points = f'points="{pixels(bounds, motion.configurations[:, i, :2])}"'
+        tracks.append(f'<polyline class="track" {line} {points}/>')
+        trails.append(f'<polyline class="trail" id="trail{i}" stroke-dasharray="0 1" {line} {points}/>')
+        # 2. The goal as a dashed outline, whose front is a line without gaps.
+        points = pixels(bounds, outline(robot, goal, bounds))
+        goals.append(f'<polygon class="halo" points="{points}"/><polygon class="goal" {line} points="{points}"/>')
+        if robot.dof == 3:
+            ahead = pixels(bounds, placed(robot, front(robot, bounds), goal))
+            goals[-1] += f'<polyline class="front" {line} points="{ahead}"/>'
+        # 3. The body about the origin, which turns, and its number, which stays upright.
+        radius = scale * drawn_rounding(robot, bounds)
+        if robot.core.any():
+            points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
+            body = f'<polygon class="body" points="{points}" fill="{color}"/>'
+        else:
+            body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
+        if robot.dof == 3:
+            (x, y0), (_, y1) = scale * nose(robot, bounds)
+            body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
+        number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
+        if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
+            beside = scale * robot.circumscribed_radius or radius
+            place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
+            number = f'<text class="beside" {place} style="--color:{color}" fill="{color}">{i}</text>'
+        bodies.append(f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>')
+    shapes = "\n".join([obstacles, frame, *tracks, *goals, *trails, *bodies])
     label = f"{len(problem.robots)} robots move from their starts to their goals"
-    return f'<svg viewBox="{view_box(bounds)}" role="img" aria-label="{label}">\n' + "\n".join(parts) + "\n</svg>"
-
-
-def _line(i: int) -> str:
-    """The color of a robot's lines, which a dark page lightens."""
-    return f'stroke="{color_of(i)}" style="--color:{color_of(i)}"'
-
-
-def _track(problem: Problem, motion: Timeline, i: int, kind: str) -> str:
-    name = f' id="trail{i}" stroke-dasharray="0 1"' if kind == "trail" else ""
-    points = pixels(problem.workspace.bounds, motion.configurations[:, i, :2])
-    return f'<polyline class="{kind}"{name} {_line(i)} points="{points}"/>'
-
-
-def _goal(problem: Problem, i: int) -> str:
-    robot, q, bounds = problem.robots[i], problem.goals[i], problem.workspace.bounds
-    points = pixels(bounds, outline(robot, q, bounds))
-    shape = f'<polygon class="halo" points="{points}"/><polygon class="goal" {_line(i)} points="{points}"/>'
-    if robot.dof == 2:
-        return shape
-    ahead = pixels(bounds, placed(robot, front(robot, bounds), q))
-    return f'{shape}<polyline class="front" {_line(i)} points="{ahead}"/>'
-
-
-def _robot(problem: Problem, i: int) -> str:
-    """A robot about the origin: what turns with it, and its number, which stays upright."""
-    robot, scale, color, bounds = (
-        problem.robots[i],
-        pixel_scale(problem.workspace.bounds),
-        color_of(i),
-        problem.workspace.bounds,
-    )
-    radius = scale * drawn_rounding(robot, bounds)
-    if robot.core.any():
-        points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
-        body = f'<polygon class="body" points="{points}" fill="{color}"/>'
-    else:
-        body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
-    if robot.dof == 3:
-        (x, y0), (_, y1) = scale * nose(robot, bounds)
-        body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
-    number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
-    if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
-        beside = scale * robot.circumscribed_radius or radius
-        place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
-        number = f'<text class="beside" {place} style="--color:{color}" fill="{color}">{i}</text>'
-    return f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>'
+    return f'<svg viewBox="{view_box(bounds)}" role="img" aria-label="{label}">\n{shapes}\n</svg>'
 
 
 _MARGIN, _DPI = 0.08, 120  # inches, pixels an inch
@@ -219,7 +190,9 @@ class Animation:
         return f"Animation({len(self.problem.robots)} robots, {steps} steps, {self.seconds:g} s)"
 
     def _repr_html_(self) -> str:
-        return embedded(self.problem, self.motion, self.seconds)
+        bounds = self.problem.workspace.bounds
+        width, height = pixel_scale(bounds) * bounds.width + 2 * (BORDER + _PADDING)
+        return framed(player(self.problem, self.motion, self.seconds), width, height + _CONTROLS)
 
 
 def animate(
@@ -290,7 +263,13 @@ def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     """The pixels of each frame; what stands still is drawn once."""
     problem, motion = animation.problem, animation.motion
-    ax = _stage(problem, motion)
+    # What stands still: the workspace, whole tracks as thin lines, goals as outlines.
+    ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
+    plot_workspace(problem.workspace, ax)
+    ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    for i in range(len(problem.robots)):
+        ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
+        add_outline(ax, problem, i, problem.goals[i], zorder=_GOAL)
     actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
     figure = ax.figure.canvas.figure
     canvas = FigureCanvasAgg(figure)
@@ -304,17 +283,6 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
         for artist in sorted((a for actor in actors for a in actor.artists), key=Artist.get_zorder):
             ax.draw_artist(artist)
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def _stage(problem: Problem, motion: Timeline) -> Axes:
-    """What stands still: the workspace, whole tracks as thin lines, goals as outlines."""
-    ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
-    plot_workspace(problem.workspace, ax)
-    ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
-    for i in range(len(problem.robots)):
-        ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
-        add_outline(ax, problem, i, problem.goals[i], zorder=_GOAL)
-    return ax
 
 
 class _Actor:

@@ -1,157 +1,216 @@
-"""The page of a picture: figures, axes, color bars, and what of a PLR is drawn."""
+"""Pages for a browser. A page is one file, which loads nothing.
 
-import math
+:func:`page` shows a distance function: one sees it, asks it, and lets swarms flow along it. The page that plays a
+path (:mod:`plr_jax.plot._animation`) is made of the same parts.
+"""
+
+import html
+import json
 import os
-from typing import Any, Protocol, runtime_checkable
+import re
+import zlib
+from base64 import b64encode
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import shapely
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MultipleLocator
-from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._types import PiecewiseFunction
-from plr_jax.geometry.box import Box, Slice
+from plr_jax._arrays import shortened
+from plr_jax._files import write_atomically
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.pairs import PairPLR
+from plr_jax.pairs.portable import js_pairs_reader
+from plr_jax.plot._axes import INK
+from plr_jax.plot._plane import OBSTACLE, blocked_polygons
+from plr_jax.plr import PLR, NumpyPLR
+from plr_jax.plr.container import Container
+from plr_jax.plr.leaves import leaf_of_code
+from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
-INK = "#262626"
-DISTANCE_COLORS = "viridis"
-DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
-FONT_SIZE = 9
-_PANEL = 4.2  # inches along the longer side of the plotted box
-DPI = 200
-SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
-_FULL_TURN = 2 * math.pi
-_POSITION, _HEADING = ("x", "y", "z"), "heading"
-
-
-@runtime_checkable
-class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """What a picture of the leaves' functions needs: the leaf of each box, and values at points of leaves' own."""
-
-    @property
-    def leaf_of_box(self) -> Any: ...
-    def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
+_FRAME = (560, 900)  # pixels of a page inside another one
+_EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)
+SIZE = 520.0
+"""Pixels along the longer side of the bounds, before the browser scales them."""
+BORDER = 2.0
+"""Pixels around them."""
+PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><path id="icon"/></svg></button>'
+"""The button of ``clock.js``."""
 
 
-def require_2d(plr: PiecewiseFunction) -> None:
-    """Refuse a PLR that is not over the plane."""
-    if plr.domain.dim != 2:
-        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
+def part(name: str) -> str:
+    """A part of pages, from a file of this folder."""
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
-    """Corners of every cell, counterclockwise."""
-    return rectangles(*map(np.asarray, plr.leaf_boxes))
+def document(title: str, style: str, body: str, script: str) -> str:
+    """A page of its parts; ``page.css`` comes before its style."""
+    filled = {
+        "style": part("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
+        "body": body,
+        "script": script,
+        "title": html.escape(title),  # last, as it may be in braces itself
+    }
+    page = part("page.html")
+    for name, value in filled.items():
+        page = page.replace("{{" + name + "}}", value)
+    return page
 
 
-def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 4 2"]:
-    """Corners of boxes in the plane, counterclockwise."""
-    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
-    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
-    return np.stack([x, y], axis=-1)
+def packed_script(script: str) -> str:
+    """A script that runs another one, of which it has no comments nor indentation, in a third of its bytes."""
+    lines = (line.strip() for line in script.splitlines())
+    bare = "\n".join(line for line in lines if line and not line.startswith("//"))
+    packer = zlib.compressobj(9, wbits=-15)
+    data = b64encode(packer.compress(bare.encode()) + packer.flush()).decode()
+    return f"""\
+const packed = Uint8Array.from(atob("{data}"), letter => letter.charCodeAt(0));
+new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"))).text().then(text => {{
+    const script = document.createElement("script");
+    script.textContent = text;
+    document.body.append(script);
+}});
+"""
 
 
-def save(ax: Axes, path: str | os.PathLike[str]) -> None:
-    """Write the picture that axes belong to.
+def framed(page: str, width: float | int, height: float | int) -> str:
+    """A page in a frame of its own, so that many fit on one page and none sees the others."""
+    looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
+    return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
+
+
+def pixel_scale(bounds: Box) -> float:
+    """Pixels a workspace unit."""
+    return SIZE / float(bounds.width.max())
+
+
+def view_of(bounds: Box) -> dict[str, float]:
+    """What scripts need to know to place points."""
+    return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
+
+
+def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
+    """Points in pixels, y downward."""
+    scale = pixel_scale(bounds)
+    x, y = scale * (points[:, 0] - bounds.lo[0]), scale * (bounds.hi[1] - points[:, 1])
+    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
+
+
+def obstacles_path(workspace: Workspace, bounds: Box) -> str:
+    """What obstacles cover, as data of a path in pixels of some bounds, to be filled by the rule of even and odd."""
+    rings = []
+    for polygon in blocked_polygons(workspace):
+        for ring in (polygon.exterior, *polygon.interiors):
+            rings.append(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z")
+    return "".join(rings)
+
+
+def view_box(bounds: Box) -> str:
+    """The box that a picture shows, in pixels."""
+    width, height = pixel_scale(bounds) * bounds.width
+    return f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A page that shows a distance function, as :func:`page` makes it. In a notebook it shows itself.
 
     Args:
-        ax: Any axes of the picture.
-        path: The file; its ending says how: ``.png``, ``.pdf``, ``.svg`` and what else Matplotlib knows.
+        html: The whole page.
+    """
+
+    html: str
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the page.
+
+        Args:
+            path: The file, which ends in ``.html``.
+
+        Raises:
+            ValueError: If the ending is another one.
+            OSError: If the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() != ".html":
+            raise ValueError(f"A page is written as .html, got {str(path)!r}.")
+        write_atomically(path, self.html.encode())
+
+    def __repr__(self) -> str:
+        return f"Page({len(self.html.encode()):,} bytes)"
+
+    def _repr_html_(self) -> str:
+        return framed(self.html, *_FRAME)
+
+
+def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
+    """A distance function as one page for a browser, which loads nothing and works without a server.
+
+    It shows the distance as colors and contours, the walls, and the cells on demand. Under the pointer it tells the
+    distance, its proven bounds, and the path: of cones from source to source, of other leaves down the slope, never
+    into a wall that is given. A click lets a swarm flow to the goal. Of pairs both ends can be dragged. Other files
+    of cones or pairs may be dropped on the page. Its answers are those of ``plr.numpy()`` and ``pairs.numpy()``, bit
+    for bit.
+
+    Args:
+        plr_or_pairs: What is shown, in the plane.
+        workspace: What walls are drawn. Pairs bring their own.
+
+    Returns:
+        The page, to be saved or shown in a notebook.
 
     Raises:
-        ValueError: If the ending is none that Matplotlib knows.
-        OSError: If the file cannot be written.
+        ValueError: If it is none of those, or not in the plane.
     """
-    ax.figure.canvas.figure.savefig(path)
+    held = plr_or_pairs
+    if not isinstance(held, PLR | PairPLR):
+        raise ValueError(f"A page shows a PLR or pairs of points in the plane, got {shortened(held)}.")
+    if held.domain.dim != 2:
+        raise ValueError(
+            f"A page shows the plane, got a PLR of {held.domain.dim} axes; see plr_jax.plot.slices for others."
+        )
+    if not isinstance(workspace, Workspace | None):
+        raise ValueError(
+            f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
+        )
+    data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
+    walls = None if workspace is None else {"data": obstacles_path(workspace, held.domain)}
+    content = {"name": json.dumps(name), "walls": json.dumps(walls)}
+    if isinstance(held, PairPLR):
+        is_read_by_page = True
+    else:
+        container = Container.from_bytes(data)
+        is_plain = container.folding is None and not container.domain.is_periodic
+        is_read_by_page = is_plain and isinstance(leaf_of_code(container.last.leaf_code), SourcedLeafModel)
+    if is_read_by_page:
+        content |= {"file": json.dumps(b64encode(data).decode())}
+    else:
+        box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
+        content |= {"box": json.dumps(box), "modules": f"[{_module(data)}]"}
+    told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
+    readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
+    script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
+    return Page(
+        document(name, part("field.css"), part("field.html").replace("{{play}}", PLAY), packed_script(script))
+    )
 
 
-def dressed_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
-    """The axes, or new ones, set up to show a slice of a box: limits, ticks, labels, ink."""
-    box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
-    alike = kinds[0] == kinds[1]
-    ax = ax or new_axes(box if alike else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
-    ax.set_xlim(box.lo[0], box.hi[0])
-    ax.set_ylim(box.lo[1], box.hi[1])
-    ax.set_aspect("equal" if alike else "auto")
-    _label_axes(ax, shown.domain, shown.axes)
-    _ink(ax)
-    ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)
-    return ax
+def _is_read_there(data: bytes) -> bool:
+    """Whether the page itself reads a file."""
+    container = Container.from_bytes(data)
+    is_plain = container.folding is None and not container.domain.is_periodic
+    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), SourcedLeafModel)
 
 
-def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
-    """Names and units of the axes that are shown, and ticks at multiples of half of pi along those of angles."""
-    for axis, number in zip((ax.xaxis, ax.yaxis), shown, strict=True):
-        axis.set_label_text(axis_label(domain, number))
-        if is_angle(domain, number):
-            axis.set_major_locator(MultipleLocator(math.pi / 2))
-            axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
-
-
-def is_angle(domain: Box, axis: int) -> bool:
-    """Whether an axis of a box is one of angles in radians: a periodic one of a full turn."""
-    return domain.periodic[axis] and math.isclose(domain.width[axis], _FULL_TURN)
-
-
-def axis_label(domain: Box, axis: int) -> str:
-    """What an axis of a box is called, with its unit: positions come first, then a heading; else angles of joints."""
-    angles = [is_angle(domain, other) for other in range(domain.dim)]
-    if angles[axis]:
-        return f"{_HEADING if angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
-    has_positions = not any(angles[:2]) and domain.dim in (2, 3)
-    return f"{_POSITION[axis]} ({WORKSPACE_UNITS})" if has_positions else f"coordinate {axis + 1}"
-
-
-def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
-    """Text of an angle at a tick: a multiple of half of pi."""
-    halves = round(angle / (math.pi / 2))
-    if halves % 2:
-        return {1: r"$\pi/2$", -1: r"$-\pi/2$"}.get(halves, rf"${halves}\pi/2$")
-    return {0: "0", 2: r"$\pi$", -2: r"$-\pi$"}.get(halves, rf"${halves // 2}\pi$")
-
-
-def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
-    """Axes in a figure of their own, with margins in inches at the left and below, at the right and above."""
-    size = _PANEL * box.width / box.width.max()
-    total = size + np.add(before, after)
-    figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")
-    return figure.add_axes((*(before / total), *(size / total)))
-
-
-def new_axes_3d(box: Box, label: str) -> Axes3D:
-    """New axes for a surface over a box, with room for a color bar at their right."""
-    figure = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white")
-    ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
-    assert isinstance(ax, Axes3D)
-    ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
-    ax.view_init(elev=32, azim=-125)
-    _label_axes(ax, box, (0, 1))
-    ax.set_zlabel(label, labelpad=6)
-    _ink(ax)
-    return ax
-
-
-def _ink(ax: Axes) -> None:
-    axes = [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else [])
-    for axis in axes:
-        axis.label.set(fontsize=FONT_SIZE, color=INK)
-    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
-
-
-def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
-    """Set a color bar beside flat axes."""
-    # An inset is exactly as high as the axes, whatever their aspect.
-    place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
-    style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
-
-
-def style_colorbar(bar: Colorbar, label: str) -> None:
-    """Label a color bar and give it the ink of the axes."""
-    bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
-    bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)
-    bar.set_label(label, fontsize=FONT_SIZE, color=INK)
-    bar.ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
-    bar.outline.set(linewidth=0.7, edgecolor=INK)
+def _module(data: bytes) -> str:
+    """The reader of a file as an entry of the page's list of those."""
+    plr = NumpyPLR(data)
+    text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
+    error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")
+    tree = "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"
+    exported = ", ".join([*_EXPORTED.findall(text), tree])
+    code = text.replace("export function", "function") + f"\nreturn {{ {exported} }};"
+    return f"{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: {json.dumps(leaves)}, error: {error} }}"

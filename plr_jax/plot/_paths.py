@@ -17,7 +17,7 @@ from plr_jax._arrays import as_numbers
 from plr_jax._problem import Problem, as_path, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plot._page import FONT_SIZE, INK
+from plr_jax.plot._axes import FONT_SIZE, INK
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
@@ -196,7 +196,10 @@ def add_numbers(
             inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
             spot = _freest(inside, dashed, size) if k < num_robots else q[:2]
         if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
-            spot = _freest(_beside(shape, q[:2], size), taken, size)
+            # Eight places around the body, close to it.
+            corners = shapely.get_coordinates(shape) - q[:2]
+            spots = [q[:2] + ((corners @ way).max() + 0.62 * size) * way for way in np.array(_AROUND)]
+            spot = _freest(spots, taken, size)
             taken.append(_square(spot, size))
             text = add_number(ax, i, spot, color_of(i))
             text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
@@ -210,15 +213,6 @@ def number_size(ax: Axes, i: int) -> float:
     points = FONT_SIZE * (1 if i < 10 else 1.5)
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
     return float(units[1, 0] - units[0, 0])
-
-
-def _beside(body: shapely.Polygon, center: Float[np.ndarray, "2"], size: float) -> list[Float[np.ndarray, "2"]]:
-    """Eight places for a number around a body, close to it."""
-    spots = []
-    for way in np.array(_AROUND):
-        reach = max(float(way @ (corner - center)) for corner in shapely.get_coordinates(body))
-        spots.append(center + (reach + 0.62 * size) * way)
-    return spots
 
 
 def _freest(
@@ -301,7 +295,11 @@ def plot_path(
     poses = motion.at(np.linspace(first, last, num_poses, endpoint=False))
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
-        _add_faded(ax, problem, i, poses[:, i])
+        for k, q in enumerate(poses[:, i]):
+            if k == 0 or (q != poses[k - 1, i]).any():
+                corners, color = outline(problem.robots[i], q, problem.workspace.bounds), color_of(i)
+                style = {"facecolor": (color, 0.13), "edgecolor": (color, 0.55), "linewidth": 0.6}
+                ax.add_patch(Polygon(corners, **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])
     add_numbers(ax, problem, shown[-1], shown[:0, 0])
@@ -342,11 +340,3 @@ def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -
         rasterized=True,
     )
     return ax
-
-
-def _add_faded(ax: Axes, problem: Problem, i: int, poses: Float[np.ndarray, "n dof"]) -> None:
-    for k, q in enumerate(poses):
-        if k == 0 or (q != poses[k - 1]).any():
-            corners = outline(problem.robots[i], q, problem.workspace.bounds)
-            ax.add_patch(Polygon(corners, facecolor=(color_of(i), 0.13), edgecolor=(color_of(i), 0.55),
-                                 linewidth=0.6, zorder=_FADED))  # fmt: skip

@@ -22,7 +22,7 @@ from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.plot._page import (
+from plr_jax.plot._axes import (
     DISTANCE,
     DISTANCE_COLORS,
     FONT_SIZE,

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from plr_jax._arrays import as_finite_point, require_integer
 from plr_jax._types import ArrayLike, FunctionOfBox
 from plr_jax.geometry.box import Box, Slice
-from plr_jax.plot._page import (
+from plr_jax.plot._axes import (
     DISTANCE,
     DISTANCE_COLORS,
     DPI,

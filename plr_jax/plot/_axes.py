@@ -1,0 +1,157 @@
+"""The page of a picture: figures, axes, color bars, and what of a PLR is drawn."""
+
+import math
+import os
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+from mpl_toolkits.mplot3d import Axes3D
+
+from plr_jax._types import PiecewiseFunction
+from plr_jax.geometry.box import Box, Slice
+
+INK = "#262626"
+DISTANCE_COLORS = "viridis"
+DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
+FONT_SIZE = 9
+_PANEL = 4.2  # inches along the longer side of the plotted box
+DPI = 200
+SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
+_FULL_TURN = 2 * math.pi
+_POSITION, _HEADING = ("x", "y", "z"), "heading"
+
+
+@runtime_checkable
+class FunctionsOfLeaves(PiecewiseFunction, Protocol):
+    """What a picture of the leaves' functions needs: the leaf of each box, and values at points of leaves' own."""
+
+    @property
+    def leaf_of_box(self) -> Any: ...
+    def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
+
+
+def require_2d(plr: PiecewiseFunction) -> None:
+    """Refuse a PLR that is not over the plane."""
+    if plr.domain.dim != 2:
+        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
+
+
+def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
+    """Corners of every cell, counterclockwise."""
+    return rectangles(*map(np.asarray, plr.leaf_boxes))
+
+
+def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 4 2"]:
+    """Corners of boxes in the plane, counterclockwise."""
+    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
+    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
+    return np.stack([x, y], axis=-1)
+
+
+def save(ax: Axes, path: str | os.PathLike[str]) -> None:
+    """Write the picture that axes belong to.
+
+    Args:
+        ax: Any axes of the picture.
+        path: The file; its ending says how: ``.png``, ``.pdf``, ``.svg`` and what else Matplotlib knows.
+
+    Raises:
+        ValueError: If the ending is none that Matplotlib knows.
+        OSError: If the file cannot be written.
+    """
+    ax.figure.canvas.figure.savefig(path)
+
+
+def dressed_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
+    """The axes, or new ones, set up to show a slice of a box: limits, ticks, labels, ink."""
+    box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
+    alike = kinds[0] == kinds[1]
+    ax = ax or new_axes(box if alike else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
+    ax.set_xlim(box.lo[0], box.hi[0])
+    ax.set_ylim(box.lo[1], box.hi[1])
+    ax.set_aspect("equal" if alike else "auto")
+    _label_axes(ax, shown.domain, shown.axes)
+    _ink(ax)
+    ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)
+    return ax
+
+
+def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
+    """Names and units of the axes that are shown, and ticks at multiples of half of pi along those of angles."""
+    for axis, number in zip((ax.xaxis, ax.yaxis), shown, strict=True):
+        axis.set_label_text(axis_label(domain, number))
+        if is_angle(domain, number):
+            axis.set_major_locator(MultipleLocator(math.pi / 2))
+            axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
+
+
+def is_angle(domain: Box, axis: int) -> bool:
+    """Whether an axis of a box is one of angles in radians: a periodic one of a full turn."""
+    return domain.periodic[axis] and math.isclose(domain.width[axis], _FULL_TURN)
+
+
+def axis_label(domain: Box, axis: int) -> str:
+    """What an axis of a box is called, with its unit: positions come first, then a heading; else angles of joints."""
+    angles = [is_angle(domain, other) for other in range(domain.dim)]
+    if angles[axis]:
+        return f"{_HEADING if angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
+    has_positions = not any(angles[:2]) and domain.dim in (2, 3)
+    return f"{_POSITION[axis]} ({WORKSPACE_UNITS})" if has_positions else f"coordinate {axis + 1}"
+
+
+def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
+    """Text of an angle at a tick: a multiple of half of pi."""
+    halves = round(angle / (math.pi / 2))
+    if halves % 2:
+        return {1: r"$\pi/2$", -1: r"$-\pi/2$"}.get(halves, rf"${halves}\pi/2$")
+    return {0: "0", 2: r"$\pi$", -2: r"$-\pi$"}.get(halves, rf"${halves // 2}\pi$")
+
+
+def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
+    """Axes in a figure of their own, with margins in inches at the left and below, at the right and above."""
+    size = _PANEL * box.width / box.width.max()
+    total = size + np.add(before, after)
+    figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")
+    return figure.add_axes((*(before / total), *(size / total)))
+
+
+def new_axes_3d(box: Box, label: str) -> Axes3D:
+    """New axes for a surface over a box, with room for a color bar at their right."""
+    figure = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white")
+    ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
+    assert isinstance(ax, Axes3D)
+    ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
+    ax.view_init(elev=32, azim=-125)
+    _label_axes(ax, box, (0, 1))
+    ax.set_zlabel(label, labelpad=6)
+    _ink(ax)
+    return ax
+
+
+def _ink(ax: Axes) -> None:
+    axes = [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else [])
+    for axis in axes:
+        axis.label.set(fontsize=FONT_SIZE, color=INK)
+    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
+
+
+def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
+    """Set a color bar beside flat axes."""
+    # An inset is exactly as high as the axes, whatever their aspect.
+    place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
+    style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
+
+
+def style_colorbar(bar: Colorbar, label: str) -> None:
+    """Label a color bar and give it the ink of the axes."""
+    bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
+    bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)
+    bar.set_label(label, fontsize=FONT_SIZE, color=INK)
+    bar.ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
+    bar.outline.set(linewidth=0.7, edgecolor=INK)
