@@ -48,7 +48,7 @@ def read_problem(path: Path) -> Problem:
         for i, robot in enumerate(robots):
             end[i, : robot.dof] = entries[i][key][: robot.dof]
     try:
-        return Problem(Workspace((environment["min"], environment["max"]), boxes), robots, *ends)
+        return Problem(Workspace((environment["min"], environment["max"]), boxes), robots, ends[0], ends[1])
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
