@@ -110,7 +110,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     figure = Figure(figsize=(8.4, 2.1 * len(pictures)), dpi=130, facecolor="white", layout="constrained")
     axes = figure.subplots(-(-len(pictures) // 2), 2, squeeze=False).ravel()
     for ax, (title, drawn) in zip(axes, pictures.items(), strict=False):
-        workspace, _ = load_map(drawn["map"]) or (None, None)
+        workspace, _ = load_map(drawn["map"])  # type: ignore[reportGeneralTypeIssues]
         plot.plot_workspace(workspace, ax)
         demand, nearest = np.array(drawn["demand"]), np.array(drawn["nearest"])
         for number, facility in enumerate(drawn["facilities"]):

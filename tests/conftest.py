@@ -26,8 +26,9 @@ if shape_checks.IS_ON:
     jaxtyping.install_import_hook("plr_jax", "shape_checks.in_first_calls")
 
 # Examples have no deadline: a slow machine is not a defect. `--hypothesis-profile full` tries more of them.
-hypothesis.settings.register_profile("quick", deadline=None, max_examples=20)
-hypothesis.settings.register_profile("full", deadline=None, max_examples=100)
+# They are the same in every run.
+hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, max_examples=20)
+hypothesis.settings.register_profile("full", deadline=None, derandomize=True, max_examples=100)
 hypothesis.settings.load_profile("quick")
 
 # Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.

@@ -277,9 +277,19 @@ class SharedCells:
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
         source = named.numbers(kind[order], distance[order] - least[cell[piece]])
-        of_pieces = cells.triangle[row], cells.center[row], cells.distance[row], cells.best[row]
-        of_pairs = piece, source, by_all[order]
-        found = FamilySources(sight, len(node), cell, cells.pieces[:, row], *of_pieces, *of_pairs)
+        found = FamilySources(
+            sight,
+            len(node),
+            cell,
+            cells.pieces[:, row],
+            cells.triangle[row],
+            cells.center[row],
+            cells.distance[row],
+            cells.best[row],
+            piece,
+            source,
+            by_all[order],
+        )
         # 2. Those that differ by more than a constant.
         box = mixed(node % cells.num_cells)
         first, index = _distinct(found.keys(box))
