@@ -7,7 +7,7 @@ from space_helpers import BOUNDS, rectangle
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells, tree_of
+from plr_jax.plr.tree import Cells, tree_of
 from plr_jax.spaces import CellState, MotionCost
 
 EMPTY = PlaneSpace(Workspace(((0, 0), (1, 1))))

@@ -18,7 +18,7 @@ import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
 from plr_jax.pairs.stored import Outline, Stored
 from plr_jax.plr.container import Header
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 _GRID = """type octile
 height 8

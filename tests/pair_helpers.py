@@ -7,7 +7,7 @@ from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.pairs.stored import Outline, Stored
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 MAZE = scenes.maze().workspace
 WALL = Workspace(TEN, [box(4, 0, 6, 8)])

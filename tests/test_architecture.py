@@ -23,11 +23,13 @@ LAYERS = [
 ]
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
-    ["partition", "folding"],
-    ["frame", "coding", "sampling"],
-    ["container"],
+    ["tree", "folding"],
+    ["faces", "cell_memory"],
+    ["finite_elements", "frame", "coding", "sampling"],
+    ["container", "work"],
     ["certificate"],
     ["growth"],
+    ["best_partition"],
     ["leaves"],
     ["_file"],
     ["_proof"],
@@ -38,8 +40,8 @@ PLR_LAYERS = [
     ["_plr"],
     ["_stack"],
     ["_certify"],
-    ["_best", "_checkpoint", "_trace"],
-    ["_chunks", "_construct"],
+    ["_best", "_trace"],
+    ["_construct"],
     ["_construct_many"],
 ]
 # And inside that of the planners.
@@ -55,7 +57,7 @@ PLANNER_LAYERS = [
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {
-    "growth": {"partition", "frame", "sampling", "coding", "certificate"},
+    "growth": {"tree", "sampling", "coding", "certificate"},
 }
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
 TREES = {path.relative_to(PACKAGE): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}

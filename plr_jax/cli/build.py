@@ -168,7 +168,7 @@ def _build(
         The PLR, whose file has at most ``max_bytes`` with its label, and whether Ctrl-C ended the work early.
     """
     from plr_jax.plr.container import frame_size, require_label
-    from plr_jax.plr.growth.limits import BudgetTooSmall
+    from plr_jax.plr.growth import BudgetTooSmall
 
     require_label(label := str(named))
     label_bytes = frame_size(domain, label=label) - frame_size(domain)

@@ -21,12 +21,12 @@ from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.best_first import best_axis, largest_error
+from plr_jax.plr.faces import overlapping_leaves
+from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import CornerLeafModel, Rules, check_limits
-from plr_jax.plr.partition.cells import PLACING, Tree, corner_bits, levels_of, tree_of
-from plr_jax.plr.partition.faces import overlapping_leaves
-from plr_jax.plr.sampling.cell_fit import Sampler, least_squares, sample_pattern
+from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
+from plr_jax.plr.tree import PLACING, Tree, corner_bits, levels_of, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
 # Boxes bounded at a time, which bounds the memory: beyond five axes each has thousands of places.

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.faces import eliminated, face_points, resolve
+from plr_jax.plr.faces import eliminated, face_points, resolve
 
 # Weights a node, at most, in the equations of nodes that hang on several cells.
 _MOST_WEIGHTS_OF_NODE = 2**8

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Int8
 
 from plr_jax.eikonal.mesh import even_depth
 from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
-from plr_jax.plr.partition.cells import corner_bits
+from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, MotionCost, point_costs, pulled
 
 MOST_AXES = 3

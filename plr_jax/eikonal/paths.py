@@ -22,7 +22,7 @@ from plr_jax._arrays import parts, runs
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
-from plr_jax.plr.partition.cells import corner_bits
+from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 # Rounds of straightening: at most so many, and no more if one gains less than this share of all costs.

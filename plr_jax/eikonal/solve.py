@@ -20,8 +20,8 @@ from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.growth.limits import ConstructionInterrupted, check_memory
-from plr_jax.plr.sampling.cell_fit import sample_pattern
+from plr_jax.plr.growth import ConstructionInterrupted, check_memory
+from plr_jax.plr.sampling import sample_pattern
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
 
 # Most cells by default, by the number of axes, and beyond.

@@ -19,10 +19,10 @@ from plr_jax.pairs.portable import RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, Stored, distances_by_rows, most_leaves
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.limits import Limits, grow
+from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 _FINEST = 2.0**-24  # of the width: 32-bit floats tell no finer
 

@@ -30,8 +30,7 @@ from tqdm import tqdm
 import plr_jax
 from plr_jax.pairs.grid_corners import FAR, MOST_BYTES, looked_up, open_length
 from plr_jax.pairs.grid_query import Cells, bits_of, cells_of, in_steps, narrow, squares_around, whole_steps
-from plr_jax.plr._checkpoint import Checkpoint
-from plr_jax.plr._chunks import Chunk, Done
+from plr_jax.plr.work import Checkpoint, Chunk, Done
 
 MOST_LANDMARKS = 2**10
 

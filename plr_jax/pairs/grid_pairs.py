@@ -32,10 +32,9 @@ from plr_jax.pairs.grid_query import (
     evaluate_to,
     tables_of,
 )
-from plr_jax.plr._checkpoint import require_path
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC
-from plr_jax.plr.sampling.asked import as_executor
+from plr_jax.plr.work import as_executor, require_path
 
 # The file of the distances between all pairs of cells of a grid: the grid, and how many landmarks bound them if they
 # are not exact, from which all else follows.

@@ -14,7 +14,7 @@ from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.partition.cells import Cells, Tree, levels_of, tree_of
+from plr_jax.plr.tree import Cells, Tree, levels_of, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Where each leaf is asked, in its local coordinates."""

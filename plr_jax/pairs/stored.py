@@ -31,7 +31,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
-from plr_jax.plr.partition.cells import Cells, Level, Tree, tree_of_levels
+from plr_jax.plr.tree import Cells, Level, Tree, tree_of_levels
 
 if TYPE_CHECKING:
     pass

@@ -33,8 +33,8 @@ from plr_jax.pairs.construct import (
     without_lists,
 )
 from plr_jax.pairs.stored import Stored, listed_by_nodes, most_leaves
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.partition.cells import Level, Tree, levels_of, tree_of
+from plr_jax.plr.growth import Limits
+from plr_jax.plr.tree import Level, Tree, levels_of, tree_of
 
 _NEAR = 4  # tolerances of the workspace from what has changed, within which a way meets it
 _SHARE = 0.5  # of halvings, that spare less than is worth a new one

@@ -14,11 +14,11 @@ from plr_jax._types import ArrayLike, CellSources, CellwiseFn, DistanceFn, Dista
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth.limits import ConstructionInterrupted
+from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import SourcedLeafModel
-from plr_jax.plr.partition.cells import grown_domain
 from plr_jax.plr.portable.numpy import NumpyPLR
+from plr_jax.plr.tree import grown_domain
 
 BEST = "best"
 _MOST_TIED_AXES = 6

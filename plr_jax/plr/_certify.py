@@ -8,7 +8,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._proof import Origin, certificate_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves.base import FamilyLeafModel
-from plr_jax.plr.partition.cells import grown_domain
+from plr_jax.plr.tree import grown_domain
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR

@@ -13,22 +13,19 @@ from plr_jax._types import ArrayLike, CellwiseFn, ChangingFn, DistanceFn, FreeSp
 from plr_jax.geometry.box import Box
 from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import require_certifiable
-from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._proof import Origin, can_be_updated, certificate_of
+from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import folding_of
 from plr_jax.plr.frame import table_corners
-from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule, best_axis, largest_error
-from plr_jax.plr.growth.limits import ConstructionInterrupted
+from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel, check_limits
-from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.sampling.asked import AskedFn, as_executor
-from plr_jax.plr.sampling.cell_fit import FitRule, Sampler, WeightFn, least_squares, sample_pattern
-from plr_jax.plr.sampling.cell_memory import CellMemory
-from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
+from plr_jax.plr.sampling import FitRule, FoldedFn, FoldedWeights, Sampler, WeightFn, least_squares, sample_pattern
+from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.work import AskedFn, Checkpoint, as_executor, digest_of
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR

@@ -12,18 +12,17 @@ from tqdm import tqdm
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._checkpoint import Checkpoint, digest_of
-from plr_jax.plr._chunks import Chunk, Done
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, held
-from plr_jax.plr.growth.limits import ConstructionInterrupted
+from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves, check_limits
-from plr_jax.plr.partition.cells import grown_domain
+from plr_jax.plr.tree import grown_domain
+from plr_jax.plr.work import Checkpoint, Chunk, Done, digest_of
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
 

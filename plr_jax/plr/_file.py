@@ -14,12 +14,12 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
+from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, SourcedLeafModel, linear_mean_planes
-from plr_jax.plr.partition.cells import Cells, Level, tree_of_levels
-from plr_jax.plr.partition.faces import neighbor_of_largest_contact
+from plr_jax.plr.tree import Cells, Level, tree_of_levels
 
 
 @dataclass(frozen=True, eq=False)

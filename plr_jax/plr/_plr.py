@@ -29,7 +29,6 @@ from plr_jax.plr.certificate import Certificate
 from plr_jax.plr.container import Container, HeldFile, held
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
-from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.points import (
     PointPlacement,
     TableStack,
@@ -42,6 +41,7 @@ from plr_jax.plr.points import (
 )
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.tables import Tables, build_tables
+from plr_jax.plr.tree import Cells
 
 
 @jax.tree_util.register_pytree_with_keys_class

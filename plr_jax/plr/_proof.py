@@ -11,12 +11,12 @@ from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
+from plr_jax.plr.cell_memory import sources_down
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth.limits import BudgetTooSmall
+from plr_jax.plr.growth import BudgetTooSmall
 from plr_jax.plr.leaves.base import FamilyLeafModel, ProvenLeaves, check_limits
-from plr_jax.plr.partition.cells import tree_of_levels
-from plr_jax.plr.sampling.cell_memory import sources_down
+from plr_jax.plr.tree import tree_of_levels
 
 _COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
 

@@ -29,10 +29,10 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.points import as_array
 from plr_jax.plr.query import evaluate_tables
 from plr_jax.plr.tables import Picked, Tables, Trie, laid_out
+from plr_jax.plr.tree import Cells
 
 # A trie: one table of many PLRs, of as many levels as the deepest needs, each of a few bits of a point's place.
 #

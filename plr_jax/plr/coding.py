@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import runs
-from plr_jax.plr.partition.cells import MAX_DEPTH, Level
+from plr_jax.plr.tree import MAX_DEPTH, Level
 
 _BITS, _MOST_BYTES = 7, 10  # of a byte of a varint, and bytes of the largest
 

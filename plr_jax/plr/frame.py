@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import runs, shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32

@@ -54,7 +54,7 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 
 @jax.tree_util.register_dataclass

@@ -6,8 +6,8 @@ from eikonal_helpers import mesh_of, random_mesh
 
 from plr_jax.eikonal.elements import basis, function_space, to_bernstein
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.faces import face_points
+from plr_jax.plr.faces import face_points
+from plr_jax.plr.tree import Cells
 from plr_jax.spaces import CellState
 
 of_any_dimension = pytest.mark.parametrize(("dim", "degree"), list(product((1, 2, 3), (1, 2))))

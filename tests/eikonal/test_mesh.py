@@ -11,7 +11,7 @@ from plr_jax.eikonal.mesh import Mesh, coarse_mesh, with_open_contacts
 from plr_jax.eikonal.program import cell_costs
 from plr_jax.eikonal.solve import SampledSpace
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import PLACING, corner_bits
+from plr_jax.plr.tree import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace
 
 BLOCKED, FREE, MIXED = CellState

@@ -15,7 +15,7 @@ from plr_jax import (
     solve_eikonal,
 )
 from plr_jax.eikonal.bounds import MeshEstimate
-from plr_jax.plr.growth.limits import ConstructionInterrupted
+from plr_jax.plr.growth import ConstructionInterrupted
 
 GOAL = (0.3, 0.4)
 

@@ -11,7 +11,7 @@ from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 from plr_jax import Box, VisibilityGraph, Workspace
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.oracles._cell_sources import SharedSources
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 SEEDS = st.integers(0, 100_000)
 # The workspaces go from 0 to 10 along both axes.

@@ -10,7 +10,7 @@ from grid_helpers import dijkstra, mosaic
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax.pairs.grid_corners import units
 from plr_jax.pairs.grid_landmarks import LandmarkTables, evaluate_bounds, landmark_tables, landmarks_within
-from plr_jax.plr._checkpoint import Checkpoint
+from plr_jax.plr.work import Checkpoint
 
 FREE = mosaic(3, 3, 9)
 NUM = 9

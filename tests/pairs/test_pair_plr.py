@@ -14,7 +14,7 @@ import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
 from plr_jax.pairs.stored import Stored
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 INSIDE = np.array([0.1, 0.1])
 

@@ -16,7 +16,7 @@ from plr_jax.pairs.pair_plr import pairs_from_bytes
 from plr_jax.pairs.stored import Stored, distances_by_rows, read_outline
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import PAIRS_CODE, Container, Header
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 
 def outline(workspace):

@@ -10,14 +10,14 @@ import pytest
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
+from plr_jax.plr.faces import shared_faces
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import ConeFiles
-from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
+from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
-from plr_jax.plr.partition.cells import Cells, Level, levels_of, tree_of, tree_of_levels
-from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tables import build_tables
+from plr_jax.plr.tree import Cells, Level, levels_of, tree_of, tree_of_levels
 
 UNIT = Box([0, 0], [1, 1])
 

@@ -3,7 +3,7 @@ import pytest
 from plr_helpers import UNIT
 
 from plr_jax import Box, VisibilityGraph, Workspace, construct, scenes
-from plr_jax.plr.growth.limits import ConstructionInterrupted, grow
+from plr_jax.plr.growth import ConstructionInterrupted, grow
 
 MAZE = scenes.maze()
 ORACLE = VisibilityGraph(MAZE.workspace, MAZE.goals[0])
@@ -54,7 +54,7 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
 
         return grow(tree, interrupt, limits)
 
-    monkeypatch.setattr("plr_jax.plr.leaves.continuous.growth.grow", interrupted)
+    monkeypatch.setattr("plr_jax.plr.leaves.continuous.grow", interrupted)
     with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
         assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).leaf.name == "continuous"
 

@@ -280,7 +280,7 @@ def test_an_open_room_is_exact():
         (lambda plr, maze: construct(cone, UNIT, certified=True), "answers for whole cells"),
         (lambda plr, maze: certify(construct(cone, Box([0], [1]), max_leaves=4), maze), "in the plane"),
         (lambda plr, maze: certify(maze, maze), "Only a PLR"),
-        (lambda plr, maze: construct(maze, UNIT, certified="yes"), "certified must be True or False"),
+        (lambda plr, maze: construct(maze, UNIT, certified="yes"), "certified must be True, False or .leaves."),
         (
             lambda plr, maze: construct(maze, UNIT, certified="cells"),
             "certified must be True, False or 'leaves', got 'cells'",

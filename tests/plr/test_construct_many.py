@@ -11,7 +11,7 @@ import pytest
 import plr_jax
 from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
-from plr_jax.plr._chunks import Done
+from plr_jax.plr.work import Done
 
 MAZE = plr_jax.scenes.maze().workspace
 OPEN = plr_jax.Workspace(((0, 0), (1, 1)))

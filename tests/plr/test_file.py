@@ -31,7 +31,7 @@ from plr_jax.plr.coding import BitWriter, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane import StoredPlanes
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 MODELS = ("plane", "continuous", "smooth")
 MOST = 50 * 2**20

@@ -11,7 +11,7 @@ from plr_jax import Box, TraceStatus, VisibilityGraph, Workspace, construct, fro
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources
-from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.tree import Cells, levels_of
 
 GOAL = (0.1, 0.1)
 WALL = np.array([(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)])

@@ -16,7 +16,7 @@ from plr_jax import (
     Workspace,
     solve_eikonal,
 )
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 BLOCKED, FREE, MIXED = CellState
 CHECKERS = np.array([[True, False], [False, True]])

@@ -4,7 +4,7 @@ from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.model import Cone
-from plr_jax.plr.leaves.continuous.model import Continuous
+from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.plane import Plane
 
 # In the order of their codes.

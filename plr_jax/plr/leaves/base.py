@@ -13,12 +13,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate import LeafBounds, Proof
 from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.faces import SharedFaces
 from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_of_class
-from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
-from plr_jax.plr.growth.limits import DEFAULT_MAX_LEAVES, Limits, check_memory
-from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree
-from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.growth import DEFAULT_MAX_LEAVES, Limits, ShouldSplitRule, SplitRule, check_memory
+from plr_jax.plr.sampling import Sampler
+from plr_jax.plr.tree import MAX_DEPTH, Cells, Level, Tree
 
 
 class Rules(NamedTuple):

@@ -13,16 +13,15 @@ from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import Proof, proven_errors
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
-from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first, largest_error
-from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
+from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
     LinearLeafModel,
     Rules,
     largest_coordinates,
 )
-from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
+from plr_jax.plr.sampling import CellFit, Sampler, with_unseen_planes
+from plr_jax.plr.tree import Cells, levels_of
 
 # Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.
 #

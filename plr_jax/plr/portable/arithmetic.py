@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, counted_from, decode
 from plr_jax.plr.frame import Corner, Frame, corner_if_far, folding_numbers, frame_of, mirrored_axes, table_corners
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
-from plr_jax.plr.partition.cells import Cells, Level, tree_of_levels
+from plr_jax.plr.tree import Cells, Level, tree_of_levels
 
 Value: TypeAlias = Any
 """Numbers that add, multiply and compare, or the text of such."""

@@ -12,9 +12,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.partition.cells import Cells, levels_of
 from plr_jax.plr.portable.arithmetic import Operations, PartitionedAxis, Point, Program, Value, Window
 from plr_jax.plr.portable.writers import BracedWriter, Code, Text, ends_of, filled_lines, indented
+from plr_jax.plr.tree import Cells, levels_of
 
 
 class JavaScriptWriter(BracedWriter):

@@ -9,9 +9,9 @@ from piece_helpers import WORKSPACES, points_of
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import cone_above_plane
 from plr_jax.oracles import VisibilityGraph
+from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import bounds_of_pieces, prove_bounds, proven_errors
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_memory import CellMemory
+from plr_jax.plr.tree import Cells
 
 
 @dataclass(frozen=True)

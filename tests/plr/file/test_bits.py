@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from plr_helpers import chain, random_partition, three_leaves
 
 from plr_jax.plr.coding import BitReader, BitWriter, body_size, read_tree, write_tree
-from plr_jax.plr.partition.cells import levels_of, tree_of_levels
+from plr_jax.plr.tree import levels_of, tree_of_levels
 
 QUICK = settings(max_examples=30)
 FIELDS = st.lists(st.tuples(st.integers(0, 32), st.integers(0, 2**32 - 1)), max_size=20)

@@ -6,10 +6,10 @@ from plr_helpers import UNIT, cone, lstsq_plane, sampler_of, walled
 
 from plr_jax import construct
 from plr_jax.plr import Plane, best_axis, center_error, cyclic_axis, largest_error, maximum_depth
-from plr_jax.plr.growth import best_first
-from plr_jax.plr.growth.best_first import MAX_ASPECT_BITS, _sum_of_squares_after_split
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+from plr_jax.plr import growth as best_first
+from plr_jax.plr.growth import MAX_ASPECT_BITS, _sum_of_squares_after_split
+from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.tree import Cells
 
 AXIS_DEPTH = 7  # in the plane, for files of up to 2,048 bytes
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, sampler_of, walled
 
-from plr_jax.plr import BuildOptions, ConstructionInterrupted, construct
+from plr_jax.plr import BuildOptions, ConstructionInterrupted, construct, growth
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth import limits as growth
 from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):

@@ -7,12 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from plr_jax.plr import best_partition as levels
+from plr_jax.plr.best_partition import BoxLevel, PriceSearch
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth import levels
-from plr_jax.plr.growth.levels import BoxLevel
-from plr_jax.plr.growth.limits import Limits, grow
-from plr_jax.plr.growth.optimal import PriceSearch
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.growth import Limits, grow
+from plr_jax.plr.tree import Cells
 
 
 @pytest.fixture(autouse=True)

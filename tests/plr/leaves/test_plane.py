@@ -20,7 +20,7 @@ from plr_jax.plr.leaves.plane import (
     unreachable_code,
     write_planes,
 )
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from plr_helpers import chain, random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import (
+from plr_jax.plr.tree import (
     Cells,
     levels_of,
     levels_of_preorder,

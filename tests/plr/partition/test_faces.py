@@ -6,10 +6,10 @@ from plr_helpers import contents_of_planes, random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
+from plr_jax.plr.faces import face_points, overlapping_leaves, parents_of_corners, shared_faces
+from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
-from plr_jax.plr.partition.cells import Cells, corner_bits, tree_of
-from plr_jax.plr.partition.faces import face_points, overlapping_leaves, parents_of_corners, shared_faces
-from plr_jax.plr.partition.faces import neighbor_of_largest_contact as lenders
+from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 
 def unit_boxes(cells):

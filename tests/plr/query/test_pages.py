@@ -11,8 +11,8 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 from plr_jax import Box
 from plr_jax.plr import Plane
 from plr_jax.plr import query as lookup_module
-from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.tables import _place_pages, build_pages, build_tables
+from plr_jax.plr.tree import Cells
 
 lookup, evaluate_tables = map(jax.jit, (lookup_module.lookup, lookup_module.evaluate_tables))
 

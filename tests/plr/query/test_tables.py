@@ -6,8 +6,8 @@ from plr_helpers import UNIT, random_partition, tables_of_numbers, walled
 
 from plr_jax import Box, construct
 from plr_jax.plr.frame import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows, table_corners
-from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.tables import pack_blocks
+from plr_jax.plr.tree import Cells
 
 
 def shapes(plr):

@@ -12,7 +12,7 @@ from plr_helpers import chain, leaf_by_position, random_partition, tables_of_num
 
 from plr_jax.plr import query as lookup
 from plr_jax.plr._stack import build_trie, can_be_in_trie, trie_levels
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.tree import Cells
 
 find_row = jax.jit(lookup.find_row)
 POINTS = 600

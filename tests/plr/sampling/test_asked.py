@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plr_jax
-from plr_jax.plr.sampling import asked
+from plr_jax.plr import work as asked
 
 WORKSPACE = plr_jax.Workspace(((0, 0), (10, 6)), [[(3, 0), (4, 0), (4, 4), (3, 4)]])
 HEADINGS = plr_jax.Box((-3, -3, -np.pi), (3, 3, np.pi), periodic=(False, False, True))

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, lstsq_plane, points, sampler_of
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling import cell_fit
+from plr_jax.plr import sampling as cell_fit
+from plr_jax.plr.tree import Cells
 
 LINE = Box([0.0], [2.0])
 

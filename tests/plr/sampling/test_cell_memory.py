@@ -4,8 +4,8 @@ from piece_helpers import WORKSPACES
 
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import VisibilityGraph
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_memory import CellMemory
+from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr.tree import Cells
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -38,7 +38,7 @@ def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     domain, cells = Box((0, 0), (10, 10)), Cells.root(2)
     x = cells.points(rng.uniform(-1, 1, (200, 2)), domain)
     whole = CellMemory(oracle, domain).distances(cells, x)
-    monkeypatch.setattr("plr_jax.plr.sampling.cell_memory._PAIRS_AT_ONCE", 1)
+    monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1)
     np.testing.assert_array_equal(CellMemory(oracle, domain).distances(cells, x), whole)
 
 

@@ -3,9 +3,9 @@ import pytest
 from plr_helpers import cone, walled
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells, tree_of
-from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.sampling.free_faces import FaceTests
+from plr_jax.plr.faces import shared_faces
+from plr_jax.plr.leaves.continuous import FaceTests
+from plr_jax.plr.tree import Cells, tree_of
 
 SQUARE = Box((0, 0), (1, 1))
 

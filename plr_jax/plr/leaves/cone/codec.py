@@ -38,7 +38,7 @@ from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
-from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth import Limits
 
 _STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
 _MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200

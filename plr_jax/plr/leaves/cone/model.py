@@ -14,8 +14,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
-from plr_jax.plr.growth.best_first import best_axis, largest_error
-from plr_jax.plr.growth.limits import Limits, grow
+from plr_jax.plr.growth import Limits, best_axis, grow, largest_error
 from plr_jax.plr.leaves.base import (
     UNIT,
     FamilyLeafModel,
@@ -27,8 +26,8 @@ from plr_jax.plr.leaves.base import (
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.search import FamilyTask, best_cones_of_goal, family_task
 from plr_jax.plr.leaves.cone.update import updated_cones
-from plr_jax.plr.partition.cells import Cells, levels_of
-from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.tree import Cells, levels_of
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""

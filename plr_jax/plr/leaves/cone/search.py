@@ -18,15 +18,14 @@ from plr_jax._arrays import run_members
 from plr_jax._types import CellSources, FamilyCellSources, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
+from plr_jax.plr.best_partition import EXACT, POOR, BoxLevel, Forest, PricedTree, PriceSearch, Thrift, may_halve
+from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import bounds_of_pieces
-from plr_jax.plr.growth.levels import POOR, BoxLevel, may_halve
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import EXACT, Forest, PricedTree, PriceSearch, Thrift
+from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.base import MemberLeaves
 from plr_jax.plr.leaves.cone.codec import ConeFiles
-from plr_jax.plr.partition.cells import Cells, Level, grown_domain, levels_of
-from plr_jax.plr.sampling.cell_fit import Pattern
-from plr_jax.plr.sampling.cell_memory import distances_in_cells
+from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.tree import Cells, Level, grown_domain, levels_of
 
 # 1. Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use.
 

@@ -22,10 +22,10 @@ from plr_jax._types import CellSources, ChangingFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
 from plr_jax.geometry.convex_pieces import boxes_as_pieces, difference_of_cones
+from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, OwnBoxes, best_axes, expand
+from plr_jax.plr.cell_memory import sources_down
 from plr_jax.plr.certificate import LeafBounds
-from plr_jax.plr.growth.levels import LEAST_SHARE_PROVEN, BoxLevel, expand
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import OwnBoxes, best_axes
+from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import (
@@ -38,9 +38,8 @@ from plr_jax.plr.leaves.cone.search import (
     run_through,
     sources_in_sight,
 )
-from plr_jax.plr.partition.cells import MAX_DEPTH, Cells, Level, Tree, grown_domain
-from plr_jax.plr.sampling.cell_fit import Pattern
-from plr_jax.plr.sampling.cell_memory import sources_down
+from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.tree import MAX_DEPTH, Cells, Level, Tree, grown_domain
 
 _FINE = 2.0**-24  # of the domain's width, by which stored sources may be off
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from plr_jax import VisibilityGraph, Workspace, scenes
+from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PriceSearch, Thrift
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth.levels import MAX_ASPECT_BITS
-from plr_jax.plr.growth.optimal import PriceSearch, Thrift
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.leaves.cone import search
-from plr_jax.plr.sampling.cell_fit import sample_pattern
+from plr_jax.plr.sampling import sample_pattern
 
 MAZE = scenes.maze().workspace
 # A wall behind which one corner serves all, and a room of its own that no goal reaches.

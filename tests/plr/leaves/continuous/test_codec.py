@@ -12,9 +12,9 @@ from plr_jax import Box
 from plr_jax.plr import Continuous
 from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr.container import Container
-from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
-from plr_jax.plr.partition.cells import levels_of, tree_of
-from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.faces import shared_faces
+from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
+from plr_jax.plr.tree import levels_of, tree_of
 
 
 @settings(deadline=None, max_examples=40)

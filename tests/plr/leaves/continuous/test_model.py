@@ -10,12 +10,11 @@ from plr_helpers import UNIT, cone, leaf_by_search, points, random_partition, wa
 
 from plr_jax import Box, BuildOptions
 from plr_jax.plr import construct
-from plr_jax.plr.leaves.continuous.codec import numbers_of_polynomials
-from plr_jax.plr.leaves.continuous.growth import fit_values
-from plr_jax.plr.leaves.continuous.space import design, nodal_space, numbers_of_leaves
-from plr_jax.plr.partition.cells import Cells, tree_of
-from plr_jax.plr.partition.faces import face_points, shared_faces
-from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+from plr_jax.plr.faces import face_points, shared_faces
+from plr_jax.plr.finite_elements import design, nodal_space, numbers_of_leaves
+from plr_jax.plr.leaves.continuous import fit_values, numbers_of_polynomials
+from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.tree import Cells, tree_of
 
 STEP = 2.0**-22  # moves a 32-bit point of the unit square off a face
 

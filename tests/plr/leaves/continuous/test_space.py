@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import random_partition, three_leaves
 
-from plr_jax.plr.leaves.continuous.space import design, monomials, nodal_space, numbers_of_leaves
-from plr_jax.plr.partition.cells import Cells, corner_bits, tree_of
-from plr_jax.plr.partition.faces import face_points, shared_faces
+from plr_jax.plr.faces import face_points, shared_faces
+from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
+from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 SEEDS, HALVES = st.integers(0, 10_000), Cells.root(2).split(np.array([0]))
 

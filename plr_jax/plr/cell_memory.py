@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import parts, run_members
 from plr_jax._types import CellSources, CellwiseFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells, Tree, grown_domain
+from plr_jax.plr.tree import Cells, Tree, grown_domain
 
 _Key: TypeAlias = tuple[int, ...]
 _POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 16, 1 << 19  # of a piece and a point, of a point and a source

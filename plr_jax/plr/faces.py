@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
+from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
 
 # Pairs of leaves that have something in common, found down two trees of one domain at once.
 

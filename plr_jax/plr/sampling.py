@@ -1,4 +1,4 @@
-"""Cells with their samples, one oracle call for many, and the plane fitted to each."""
+"""Sampling the distance function in cells, and fitting a plane to each cell."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -13,8 +13,9 @@ from plr_jax._arrays import as_distances, as_numbers, as_values
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_memory import CellMemory
+from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr.folding import Folding
+from plr_jax.plr.tree import Cells
 
 # Where a cell is sampled, the same in every cell, and what of a fit depends on that alone.
 
@@ -356,3 +357,36 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
         )
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedFn:
+    """A distance function of folded points: the distance of a point that folds there."""
+
+    distance_fn: DistanceFn
+    folding: Folding
+
+    def __call__(self, z: Points) -> Distances:
+        """Distances at folded points."""
+        return call_oracle(self.distance_fn, self.folding.unfolded(z))
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedWeights:
+    """Weights of errors at folded points: the largest of all points of the domain that fold there, 0 without any.
+
+    Where the caller has no ``weight_fn``, every point of the domain has weight 1.
+    """
+
+    weight_fn: WeightFn | None
+    folding: Folding
+
+    def __call__(self, z: Points) -> Float[np.ndarray, "n"]:
+        """Weights at folded points."""
+        largest = np.zeros(len(z))
+        for x, inside in self.folding.images(z):
+            weight = 1.0 if self.weight_fn is None else call_weights(self.weight_fn, x[inside])
+            largest[inside] = np.maximum(largest[inside], weight)
+            if self.weight_fn is None and largest.all():
+                break
+        return largest

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.cells import Tree, corner_bits
-from plr_jax.plr.partition.faces import SharedFaces, eliminated, face_points, parents_of_corners, require_few, resolve
+from plr_jax.plr.faces import SharedFaces, eliminated, face_points, parents_of_corners, require_few, resolve
+from plr_jax.plr.tree import Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -1,1 +1,0 @@
-"""Which leaf is split next, along which axis, and until when."""

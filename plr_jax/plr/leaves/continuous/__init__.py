@@ -1,1 +1,0 @@
-"""Values at the corners of leaves, tied across free faces: nothing jumps where one can walk."""
