@@ -6,6 +6,8 @@ from hostile_readers import READERS, Reader
 
 from plr_jax.plr.container import Container, Header
 
+pytestmark = pytest.mark.full
+
 NUMBER = 60
 
 

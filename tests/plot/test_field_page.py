@@ -13,6 +13,8 @@ from PIL import Image
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
 from plr_jax import Euclidean, PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
 
+pytestmark = pytest.mark.full
+
 PROBLEM = scenes.maze()
 WORKSPACE, GOAL = PROBLEM.workspace, PROBLEM.goals[0]
 
