@@ -374,9 +374,6 @@ def fit_values(
     return values, np.where(weight > 0, errors, 0.0)
 
 
-_MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
-
-
 @dataclass(frozen=True)
 class Continuous(CornerLeafModel):
     """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
