@@ -89,3 +89,16 @@ def fan_workspace(rng, squeeze=False):
 
 
 WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
+
+
+def random_obstacle(rng, kind):
+    """A polygon that may overlap or touch others, be a sliver, or leave the bounds, from (0, 0) to (8, 8)."""
+    corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
+    if kind == "grid":
+        corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
+    if kind == "thin":
+        size[rng.integers(2)] = 10.0 ** -rng.integers(1, 12)
+    if kind == "polygon":
+        turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
+        return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return shapely.box(*corner, *(corner + size))

@@ -15,6 +15,7 @@ ROOMS = [
 ]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_any_workspace_is_exact_and_bounded(squeeze):
     workspace, x, y = joined(ROOMS, squeeze=squeeze)
@@ -57,6 +58,7 @@ def test_walls_shorter_than_the_lattice_is_wide_hide_no_other_walls():
     assert check_exact_and_bounded(construct_pairs(workspace, max_bytes=1024), workspace, x, y, 1e-6) > 0.9
 
 
+@pytest.mark.full
 def test_long_lists_are_searched_to_their_ends():
     rng = np.random.default_rng(14)
     angles = rng.uniform(0, 2 * np.pi, (12, 12, 1)) + np.array([0, 2.1, 4.2])
@@ -71,6 +73,7 @@ def test_long_lists_are_searched_to_their_ends():
         np.testing.assert_allclose(pairs(x, ends), exact(workspace, x, y), atol=1e-5)
 
 
+@pytest.mark.full
 def test_the_published_lengths_of_the_arena(data_dir):
     folder = data_dir / "polyanya_arena"
     pairs = construct_pairs(scenes.read_polygons(folder / "arena_polygons.json"), max_bytes=32_768)
@@ -86,6 +89,7 @@ def test_the_published_lengths_of_the_arena(data_dir):
 WIDTH = 21  # of four rooms
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["spike", "bridge"])
 def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind):
     """Glued to a box, or to two; the first is thinner than the lattice is wide."""

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import shapely
 from pair_helpers import MAZE, check_exact_and_bounded, two_batches
-from piece_helpers import TEN, box
+from piece_helpers import TEN, box, random_obstacle
 
-from experiments.living import random_obstacle
 from plr_jax import VisibilityGraph, Workspace, construct_pairs, load, save
 from plr_jax.pairs import updated
 from plr_jax.pairs.pair_plr import pairs_from_bytes
@@ -49,6 +48,7 @@ def listed_by_points(pairs):
     return np.ldexp(1.0, -stored.cells.depth.sum(axis=1)) @ count
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(6))
 def test_lists_hold_all_corners_that_paths_turn_at_first_after_changes(seed, monkeypatch):
     monkeypatch.setattr(updated, "_MOST_CHANGED", 1.0)  # however much has changed
@@ -76,6 +76,7 @@ def test_lists_hold_all_corners_that_paths_turn_at_first_after_changes(seed, mon
     assert tested > 10
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("max_bytes", [1024, 4096])
 def test_points_look_at_as_few_corners_as_after_a_construction(max_bytes):
     workspace, pairs, rng = MAZE, construct_pairs(MAZE, max_bytes=max_bytes), np.random.default_rng(3)
