@@ -22,7 +22,7 @@ from plr_jax import (
     validate,
     zero,
 )
-from plr_jax.planners._options import Incumbent
+from plr_jax.planners.driver import Run
 
 PLR_BYTES, SMOKE_BYTES = 4_096, 512
 
@@ -96,14 +96,14 @@ def plan_and_check(
 ) -> tuple[Solution, float, bool | None]:
     """A plan, and whether its first path and its last one are valid; None if there is none."""
     first: list[Float[np.ndarray, "steps robots dof"]] = []
-    offer = Incumbent.offer
+    offer = Run.offer
 
-    def kept(self: Incumbent, path: Float[np.ndarray, "steps robots dof"], found_by: str, factor: float) -> None:
+    def kept(self: Run, path: Float[np.ndarray, "steps robots dof"], found_by: str, factor: float) -> None:
         if not first:
             first.append(path)
         offer(self, path, found_by, factor)
 
-    with mock.patch.object(Incumbent, "offer", kept):
+    with mock.patch.object(Run, "offer", kept):
         solution, seconds = plan(problem, heuristic, options)
     checks = [validate(problem, path).valid for path in first] + [is_valid(problem, solution)]
     return solution, seconds, None if solution.path is None else all(checks)

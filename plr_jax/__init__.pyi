@@ -5,6 +5,9 @@ from . import pairs as pairs
 from . import plot as plot
 from . import plr as plr
 from . import scenes as scenes
+from ._descend import Descent as Descent
+from ._descend import DescentStatus as DescentStatus
+from ._descend import descend as descend
 from ._io import load as load
 from ._io import save as save
 from ._problem import Problem as Problem
@@ -19,9 +22,6 @@ from .geometry.box import Box as Box
 from .geometry.free_space import FreeSpace as FreeSpace
 from .geometry.workspace import Workspace as Workspace
 from .ompl import ompl_objective as ompl_objective
-from .optimize import Descent as Descent
-from .optimize import DescentStatus as DescentStatus
-from .optimize import descend as descend
 from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
 from .oracles import GridField as GridField

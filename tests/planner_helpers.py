@@ -23,9 +23,8 @@ from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest, motions_apart
 from plr_jax.planners import best_first as tables
 from plr_jax.planners import straight_line, sum_of_distances
-from plr_jax.planners._options import SearchBudget
-from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
-from plr_jax.planners.lattice.joint import JointLattice
+from plr_jax.planners._options import PRIMITIVES, SearchBudget
+from plr_jax.planners.lattice import JointLattice, build_lattices
 
 TRANSLATIONS = PRIMITIVES[:8]
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))

@@ -5,9 +5,9 @@ import shapely
 from planner_helpers import joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace, scenes
+from plr_jax.planners._options import PRIMITIVES
 from plr_jax.planners.lacam import LaCAM, TeamMoves
-from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.lattice.joint import kinds_of
+from plr_jax.planners.lattice import kinds_of
 
 TRIANGLE = PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)])
 MIXED = Problem(
@@ -23,7 +23,7 @@ TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(12), 0.4),
 def team_of(problem, step, primitives=PRIMITIVES):
     joint = joint_lattice_of(problem, step, primitives)
     kinds = kinds_of(joint)
-    costs_to_go = [kind.edges.costs_to_go(np.arange(len(kind.members))) for kind in kinds]
+    costs_to_go = [kind.costs_to_go(np.arange(len(kind.members))) for kind in kinds]
     return joint, TeamMoves(kinds, costs_to_go, problem.workspace.tolerance)
 
 

@@ -17,7 +17,7 @@ LAYERS = [
     ["oracles", "plr", "planners", "spaces", "traced"],
     ["pairs"],
     ["_io"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal", "ompl"],
+    ["optimize", "_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
     ["cli"],
     ["__main__"],
 ]
@@ -49,8 +49,7 @@ PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
     ["_options"],
     ["lattice"],
-    ["best_first", "lacam", "replanning", "sequential", "smoothing", "timetable"],
-    ["searches"],
+    ["best_first", "lacam", "reservations", "sequential", "shorten", "through_time"],
     ["driver"],
     ["_replan"],
     ["_lifelong"],

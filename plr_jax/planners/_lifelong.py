@@ -16,7 +16,7 @@ from plr_jax.collision.team import motions_apart
 from plr_jax.planners._options import BLOptions, require_task
 from plr_jax.planners._solution import Solution, Status
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.timetable import (
+from plr_jax.planners.through_time import (
     ROWS_PER_STEP,
     JointPath,
     LoneRobot,

@@ -1,18 +1,16 @@
-"""Options of a planner, checked where they come in, what of its limits is left, and the best that it has found."""
+"""Options of a planner, and what is left of its limits."""
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax._arrays import as_number, shortened
-from plr_jax._problem import Problem, path_cost
+from plr_jax._problem import Problem
 from plr_jax.planners._solution import Status
 
 # A motion to another cell: so many columns, rows and turns away.
@@ -91,9 +89,8 @@ class BLOptions:
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:
             expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
-            vars(self)["heuristic_weight"] = as_number(
-                "heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT
-            )
+            weight = as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT)
+            object.__setattr__(self, "heuristic_weight", weight)
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
@@ -121,52 +118,6 @@ def require_task(problem: Problem, options: BLOptions) -> None:
         raise ValueError(f"{expected}, got {shortened(problem)}.")
     if not isinstance(options, BLOptions):
         raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
-
-
-# The best path so far, and where the seconds went.
-
-
-class Incumbent:
-    """The best path that a run of the planner has found.
-
-    Attributes:
-        path: It, None before there is one.
-        cost: What it costs.
-        history: Seconds and cost of each path that became the best one.
-        found_by: The search that found it, or that it was shortened from.
-        motions_factor: As in :class:`plr_jax.planners.Solution`.
-        seconds: By phase of the run.
-    """
-
-    def __init__(self, problem: Problem, began: float):
-        self.problem, self.began, self._mark = problem, began, began
-        self.path: Float[np.ndarray, "steps robots dof"] | None = None
-        self.cost, self.motions_factor = float("inf"), float("inf")
-        self.history: list[tuple[float, float]] = []
-        self.found_by = ""
-        self.seconds: dict[str, float] = {}
-
-    def offer(self, path: Float[np.ndarray, "steps robots dof"], found_by: str, motions_factor: float) -> None:
-        """Take a path that is cheaper."""
-        seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
-        if cost < self.cost:
-            self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
-            self.history.append((seconds, cost))
-
-    def retime(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
-        """Take a path of the same motions at other times, which costs the same but for rounding."""
-        self.path, self.cost = path, path_cost(self.problem, path)
-        self.history[-1] = (self.history[-1][0], self.cost)
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Count the seconds since the last phase ended."""
-        try:
-            yield
-        finally:
-            now = time.perf_counter()
-            self.seconds[name] = self.seconds.get(name, 0.0) + now - self._mark
-            self._mark = now
 
 
 @dataclass

@@ -11,7 +11,7 @@ from plr_jax._problem import Problem, motion_costs
 from plr_jax.planners._options import BLOptions, require_task
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.timetable import (
+from plr_jax.planners.through_time import (
     ROWS_PER_STEP,
     JointPath,
     LoneRobot,

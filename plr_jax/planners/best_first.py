@@ -15,7 +15,7 @@ from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
-from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
+from plr_jax.planners.lattice import JointLattice, Lattice, State
 
 # Joint configurations and their children: products of the robots' primitives, scored and checked together.
 

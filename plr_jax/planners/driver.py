@@ -2,39 +2,38 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from tqdm import tqdm
 
+from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax._types import BoundingFn, HeuristicFn
+from plr_jax._types import BoundingFn, HeuristicFn, SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._heuristics import estimates, require_heuristic
-from plr_jax.planners._options import SEARCHERS, BLOptions, Incumbent, SearchBudget, require_task
-from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.planners.lattice.joint import State
-from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
-from plr_jax.planners.searches import LatticeLevel, Searches, build_level, num_bytes, work
+from plr_jax.planners._heuristics import estimates, require_heuristic, straight_line
+from plr_jax.planners._options import SEARCHERS, BLOptions, HeldMemory, Primitive, SearchBudget, require_task
+from plr_jax.planners._solution import JointPath, Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.planners.best_first import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
+from plr_jax.planners.lacam import LaCAM, TeamMoves
+from plr_jax.planners.lattice import (
+    JointLattice,
+    Kind,
+    OfKinds,
+    State,
+    build_lattices,
+    by_robot,
+    kinds_of,
+    num_configurations,
+)
+from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, side_by_side
-from plr_jax.planners.smoothing import halved, shorten, shorten_in_corridors
-
-_WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
-_NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
-_GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
-_ROUNDING = 1e-9
-_SEQUENTIAL = "sequential"
-
-
-def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
-    """A path without the rows at its end in which all robots wait."""
-    waits = np.all(state == state[-1], axis=1)
-    return state[: len(state) + 1 - np.append(waits[::-1], False).argmin()]
-
+from plr_jax.planners.shorten import shorten
+from plr_jax.robots.robot import Robot, between
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
@@ -48,6 +47,11 @@ _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
+_WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
+_NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
+_GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
+_ROUNDING = 1e-9
+_SEQUENTIAL = "sequential"
 _MOST_BYTES = 1 << 60  # that are told apart
 _DEFAULT_OPTIONS = BLOptions()
 
@@ -72,9 +76,8 @@ def bl_plan(
       as in A*. It finds what takes a plan, such as a swap in a tight place.
 
     Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
-    is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
-    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer
-    lattices and with smaller weights go on, until a limit.
+    is shortened by straight shortcuts of one robot. Under a ``cost_factor``, groups of robots are planned anew
+    together, and searches on finer lattices and with smaller weights go on, until a limit.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -110,29 +113,38 @@ def bl_plan(
     if heuristic is not None:
         require_heuristic(heuristic)
     require_task(problem, options)
-    began = time.perf_counter()
-    run = _Run(problem, heuristic, options, began)
+    run = Run(problem, heuristic, options, time.perf_counter())
     try:
         try:
-            status = run.in_turn()
+            status = run.take_turns_to_go()
             if status is None:
                 with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
-                    status = run.until_done()
+                    status = run.search_until_limit()
         finally:  # interrupted or not
-            run.set_out_early()
+            if run.path is not None and run.found_by == _SEQUENTIAL:
+                # Robots that were to go one after the other set out as early as they can.
+                run.path = side_by_side(problem, run.path)
+                run.history[-1] = (run.history[-1][0], path_cost(problem, run.path))
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    budget, best = run.budget, run.incumbent
+    budget, memory = run.budget, int(min(run.num_bytes, _MOST_BYTES))
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
-    memory = int(min(run.num_bytes, _MOST_BYTES))
-    stats = Stats(*counts, best.seconds, tuple(best.history), best.found_by, memory)
-    return solution_of(problem, best.path, run.lower_bound, status, stats, run.samples, best.motions_factor)
+    stats = Stats(*counts, run.seconds, tuple(run.history), run.found_by, memory)
+    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
 
 
-class _Run:
+class Run:
     """One call of the planner: searches on finer and finer lattices, and the best path so far.
 
     A path that a search has found is made cheaper along the lattices first, then off them.
+
+    Attributes:
+        path: The best path so far, None before there is one.
+        cost: What it costs.
+        found_by: The search that found it, or that it was shortened from.
+        motions_factor: As in :class:`plr_jax.Solution`.
+        history: Seconds and cost of each path that became the best one.
+        seconds: By phase of the run.
     """
 
     progress: tqdm  # while it searches lattices
@@ -142,17 +154,34 @@ class _Run:
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
         self.lower_bound, self.enough = options.lower_bound or 0.0, math.inf
-        self.incumbent = Incumbent(problem, began)
+        self.path: JointPath | None = None
+        self.cost, self.motions_factor, self.found_by = math.inf, math.inf, ""
+        self.history: list[tuple[float, float]] = []
+        self.seconds: dict[str, float] = {}
+        self.began = self._mark = began
         self.samples = problem.starts[None].copy()
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
-    def in_turn(self) -> Status | None:
+    def offer(self, path: JointPath, found_by: str, motions_factor: float) -> None:
+        """Take a path if it is cheaper than the best one so far."""
+        seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
+        if cost < self.cost:
+            self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
+            self.history.append((seconds, cost))
+
+    def ends(self, phase: str) -> None:
+        """Count the seconds since the last phase ended."""
+        now = time.perf_counter()
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
+        self._mark = now
+
+    def take_turns_to_go(self) -> Status | None:
         """Have one robot go after the other, if they can; SOLVED if the path is good enough, or none is cheaper."""
-        if set(self.options.searchers) == set(SEARCHERS):  # else what one of them finds by itself is asked for
-            with self.incumbent.phase("search"):
-                path = sequential_path(self.problem)
+        if set(self.options.searchers) == set(SEARCHERS):  # else the result of one search by itself is wanted
+            path = sequential_path(self.problem)
+            self.ends("search")
             if path is not None:
-                self.incumbent.offer(path, _SEQUENTIAL, math.inf)
+                self.offer(path, _SEQUENTIAL, math.inf)
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(estimates(self.heuristic, self.problem.starts[None].copy())[0])
@@ -160,39 +189,33 @@ class _Run:
         enough = (1 + _ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
             self.enough = enough = self.options.cost_factor * enough
-        return Status.SOLVED if self.incumbent.cost <= enough else None
+        return Status.SOLVED if self.cost <= enough else None
 
-    def until_done(self) -> Status:
+    def search_until_limit(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, len(options.primitives), self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
-            status, step = self._take_turns(step, weight, options)
-            if status is not Status.SOLVED or self.incumbent.cost <= self.enough:
+            status, step = self._search_lattices(step, weight, options)
+            if status is not Status.SOLVED or self.cost <= self.enough:
                 return status
             if limit := self.budget.exceeded():
                 return limit
-            following = _harder(step, weight, options)
+            following = _next_schedule(step, weight, options)
             if following is None:
                 return Status.EXHAUSTED
             step, weight, options = following
 
-    def set_out_early(self) -> None:
-        """Have robots that were to go one after the other go as early as they can, if that is the best path."""
-        path = self.incumbent.path
-        if path is not None and self.incumbent.found_by == _SEQUENTIAL:
-            self.incumbent.retime(side_by_side(self.problem, path))
-
-    def _take_turns(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
+    def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
         """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
 
         Which lattice has room for robots to pass one another is not known before; one that has none would keep a
         single search busy for ever. Every round adds a lattice and lets the searches on each of the others go on.
 
         Returns:
-            Why they ended, and the step of the one that did.
+            Why they ended, and the step of the lattice of the last one.
         """
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
@@ -205,9 +228,10 @@ class _Run:
                     return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
                 if fits and (level := self._level(step, may_halve=options.step is None and not running)):
                     step = level.step
-                    with self.incumbent.phase("heuristic"), suppress(TimeoutError):
+                    with suppress(TimeoutError):
                         running.append(Searches(level, self.heuristic, weight, options, self.budget))
                         weight *= _GREEDIER
+                    self.ends("heuristic")
                 for searches in reversed(running):
                     status = self._search_on(searches)
                     if status is Status.SOLVED:
@@ -224,112 +248,299 @@ class _Run:
             for searches in running:
                 searches.release()
 
-    def _level(self, step: float, may_halve: bool) -> LatticeLevel | None:
+    def _level(self, step: float, may_halve: bool) -> "LatticeLevel | None":
         """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up.
 
-        Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried.
+        Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried, as long
+        as their lattices are small.
         """
-        build = partial(build_level, self.problem, self.test, primitives=self.options.primitives)
-        with self.incumbent.phase("lattice"), suppress(TimeoutError):
-            level = build(step=step)
-            while level is not None and may_halve and self._goes_around(level):
-                finer = build(step=level.step / 2)
+        problem, primitives = self.problem, self.options.primitives
+        straight, level = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
+        try:
+            level = build_level(problem, self.test, step, primitives)
+            while level is not None and may_halve and (level.least_costs > _AROUND * straight).any():
+                half = level.step / 2
+                is_small = _work(problem, half, len(primitives)) <= _MOST_FIRST
+                if not is_small or self._needed(half) >= self.options.max_memory:
+                    break
+                finer = build_level(problem, self.test, half, primitives)
                 if finer is None or finer.least_cost > (1 - _SHORTER) * level.least_cost:
                     break
                 level = finer
-                self._fits(level.step)
+                self._fits(half)
             return level
-        return None
+        except TimeoutError:
+            return None
+        finally:
+            self.ends("lattice")
 
-    def _goes_around(self, level: LatticeLevel) -> bool:
-        """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""
-        problem, step = self.problem, level.step / 2
-        straight = straight_costs(problem.starts, problem.goals, problem.rotation_weights)
-        is_small = work(problem, step, len(self.options.primitives)) <= _MOST_FIRST
-        fits = self._needed(step) < self.options.max_memory
-        return is_small and fits and bool((level.least_costs > _AROUND * straight).any())
-
-    def _search_on(self, searches: Searches) -> Status | None:
+    def _search_on(self, searches: "Searches") -> Status | None:
         """Let the searches on some lattices go on for a turn."""
-        step, cost = searches.level.step, self.incumbent.cost
-        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.budget.num_nodes, cost=f"{cost:.4g}")
+        self.progress.set_postfix(
+            step=f"{searches.level.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
+        )
         try:
-            with self.incumbent.phase("search"):
-                status = searches.run(self.progress)
+            status = searches.run(self.progress)
         except TimeoutError:
             status = Status.TIME_LIMIT
         finally:
+            self.ends("search")
             self.samples = searches.level.joint.configurations(searches.state)
         if status is Status.MEMORY_LIMIT:
             self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
         return status
 
-    def _improve(self, searches: Searches) -> None:
+    def _improve(self, searches: "Searches") -> None:
         """Offer a path that was found, then cheaper ones along the lattices, then shortened ones till one will do."""
-        problem, test, level, (_, state) = self.problem, self.test, searches.level, searches.found
-        path, found_by, factor = self._path(searches, state)
-        self.incumbent.offer(path, found_by, factor)
+        found_by, state = searches.found
+        path, factor = self._path(searches, state)
+        self.offer(path, found_by, factor)
         # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
         gains = self.enough < math.inf or factor > _NEAR_LEAST
-        if len(problem.robots) > 1 and len(state) > 1 and gains:
-            path, _, factor = self._path(searches, self._replanned(searches, state))
-        passes = [
-            lambda path: shorten(problem, path, test),
-            lambda path: shorten_in_corridors(problem, path, test, level.step / 2),
-            lambda path: shorten(problem, halved(path), test),
-        ]
-        if len(problem.robots) == 1 and self.enough == math.inf:
-            del passes[1]  # shortcuts leave a lone robot little to gain
-        for cheaper in passes:
-            if self.incumbent.cost <= self.enough < math.inf:
+        if len(self.problem.robots) > 1 and len(state) > 1 and gains:
+            path, factor = self._path(searches, self._replanned(searches, state))
+        for is_halved in (False, True):
+            if self.cost <= self.enough < math.inf:
                 return
-            with self.incumbent.phase("shorten"):
-                path = cheaper(path)
-            self.incumbent.offer(path, found_by, factor)
+            if is_halved:  # a row in the middle of every motion
+                middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
+                path[1::2] = middle
+            path = shorten(self.problem, path, self.test)
+            self.ends("shorten")
+            self.offer(path, found_by, factor)
 
-    def _replanned(self, searches: Searches, state: State) -> Int[np.ndarray, "rows robots"]:
+    def _replanned(self, searches: "Searches", state: State) -> State:
         """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
-        level, budget = searches.level, self.budget
+        level, budget, (found_by, _) = searches.level, self.budget, searches.found
         waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
         rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
         if budget.memory + num_bytes_of_table(level.kinds, len(rows)) >= budget.max_memory:
             return state
         table = None
-        with self.incumbent.phase("replan"), suppress(TimeoutError):
+        with suppress(TimeoutError):
             table = ReservationTable(level.kinds, level.costs_to_go, rows, tolerance, budget)
             # Whenever time is up from here on, the table's paths are free of collisions.
             replan_each(table)
-            self.incumbent.offer(*self._path(searches, table.state))
-            rng = np.random.default_rng(0)
-            while self.incumbent.cost > self.enough and not budget.exceeded():
+            rng, gains = np.random.default_rng(0), True
+            while gains:
+                path, factor = self._path(searches, table.state)
+                self.offer(path, found_by, factor)
+                if self.cost <= self.enough or budget.exceeded():
+                    break
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
-                self.incumbent.offer(*self._path(searches, table.state))
-                if before - table.cost.sum() <= _GAIN * before:
-                    break
+                gains = before - table.cost.sum() > _GAIN * before
+        self.ends("replan")
         if table is None:
             return state
-        self.incumbent.offer(*self._path(searches, table.state))
+        path, factor = self._path(searches, table.state)
+        self.offer(path, found_by, factor)
         table.held.release()
         return until_arrival(table.state)
 
-    def _path(self, searches: Searches, state: State) -> tuple[Float[np.ndarray, "steps robots dof"], str, float]:
-        """The path of a state, who found it, and its cost over that of each robot's cheapest motions alone."""
+    def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
+        """The path of a state, and its cost over that of each robot's cheapest motions alone."""
         path, least = searches.level.joint.configurations(state), searches.level.least_cost
         if not np.array_equal(path[0], self.problem.starts):
             # A robot's goal is its start but for whole turns: the path begins with these.
             path = np.concatenate([self.problem.starts[None], path])
         cost = path_cost(self.problem, path)
-        factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
-        return path, searches.found[0], factor
+        return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
         """Whether the lattices of a step fit into memory beside what is there. What they need is reported."""
-        self.num_bytes = max(self.num_bytes, self._needed(step))
-        return self._needed(step) < self.options.max_memory
+        needed = self._needed(step)
+        self.num_bytes = max(self.num_bytes, needed)
+        return needed < self.options.max_memory
 
     def _needed(self, step: float) -> float:
         return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
+
+
+# The lattices of a team that have one step, and the costs along them.
+
+
+_MOTION_BYTES = 92  # what a motion takes while its table is built
+_COLUMN_BYTES = 16  # what a robot's costs to and from a node take
+_TURNING = 4  # times as long as a round robot's motion one takes to test that turns
+_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
+_SECONDS = 3e-7  # about what an edge takes to be found, or a node to be reached, which cannot be cut short
+
+
+def until_arrival(state: State) -> State:
+    """A path without the rows at its end in which all robots wait."""
+    waits = np.all(state == state[-1], axis=1)
+    return state[: len(state) + 1 - np.append(waits[::-1], False).argmin()]
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeLevel:
+    """The lattices of one step.
+
+    Args:
+        step: Side of their cells.
+        joint: The team on them.
+        kinds: Its robots by the tables that they share.
+        costs_to_go: Those of the robots of each kind, alone, along the lattices.
+        num_bytes: About what they take.
+    """
+
+    step: float
+    joint: JointLattice
+    kinds: Sequence[Kind]
+    costs_to_go: OfKinds
+    num_bytes: int
+
+    @property
+    def least_costs(self) -> Float[np.ndarray, "robots"]:
+        """What the cheapest motions of each robot cost if it is alone; ``inf`` if it cannot reach its goal."""
+        pairs = zip(by_robot(self.kinds, self.costs_to_go), self.joint.lattices, strict=True)
+        return np.array([cost_to_go[lattice.start] for cost_to_go, lattice in pairs])
+
+    @property
+    def least_cost(self) -> float:
+        """What they cost in all."""
+        return float(self.least_costs.sum())
+
+
+def build_level(
+    problem: Problem, test: JointMotionTest, step: float, primitives: Sequence[Primitive]
+) -> LatticeLevel | None:
+    """The lattices of a step, and costs along them; None if a robot cannot reach its goal on them.
+
+    Raises:
+        TimeoutError: If the deadline of the test passes first.
+    """
+    joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, test.deadline)), test)
+    kinds = kinds_of(joint)
+    costs = []
+    for kind in kinds:
+        num_nodes, num_robots = len(kind.table.q), len(kind.members)
+        size, parts = int(np.clip(_NODES // num_nodes, 1, _GOALS)), []
+        for begin in range(0, num_robots, size):
+            require_time(test.deadline, "the costs-to-go were known", _SECONDS * num_nodes)
+            parts.append(kind.costs_to_go(np.arange(begin, min(begin + size, num_robots))))
+        costs.append(np.concatenate(parts))
+    level = LatticeLevel(step, joint, kinds, costs, int(num_bytes(problem, step, len(primitives))))
+    return level if np.isfinite(level.least_cost) else None
+
+
+def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
+    """About what the lattices of a step take if all is free, so that those too large are not begun."""
+    total = 0.0
+    for (robot, _), count in _kinds(problem).items():
+        nodes = num_configurations(problem.workspace, robot, step) + 2 * count
+        total += nodes * (_MOTION_BYTES * (1 + num_primitives) + _COLUMN_BYTES * count)
+    return total
+
+
+def _work(problem: Problem, step: float, num_primitives: int) -> float:
+    """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
+    of_dof = {2: 1, 3: _TURNING}
+    each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
+    return (1 + num_primitives) * sum(each)
+
+
+def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
+    """The robots that share a table, with the weight of their turns, and how many there are."""
+    return Counter(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
+
+
+# The first turn of each search: idle steps of LaCAM a robot; expansions of best-first search over the robots or over
+# their square, whichever is less, as an expansion takes as long as there are pairs of robots.
+_IDLE_STEPS, _EXPANSIONS, _EXPANSIONS_OF_PAIRS = 8, 1024, 4096
+_TERM_BYTES = 8  # what a term of the heuristic takes, which is kept twice where it was asked for
+_LONGER = 1.5  # growth of turns
+
+
+class Searches:
+    """LaCAM and best-first search, or one of them, on the lattices of a level.
+
+    Both go by the heuristic if it has terms, and by the costs-to-go along the lattices if there is none. A heuristic
+    without terms leads best-first search, beside straight lines; LaCAM then goes by the costs-to-go.
+
+    Args:
+        level: The lattices.
+        heuristic: As given to the planner.
+        weight: Of the heuristic in best-first search.
+        options: Those of the planner.
+        budget: What it may still do.
+
+    Raises:
+        TimeoutError: If the deadline passes before the heuristic is known.
+    """
+
+    def __init__(
+        self, level: LatticeLevel, heuristic: Plain, weight: float, options: BLOptions, budget: SearchBudget
+    ):
+        self.level, self.weight, self.options, self.budget = level, weight, options, budget
+        self.held = HeldMemory(budget)
+        num_nodes = sum(len(lattice.q) for lattice in level.joint.lattices)
+        self.held.add(level.num_bytes + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2))
+        self.plain: Plain = None
+        terms = by_robot(level.kinds, level.costs_to_go)
+        self.tables: Sequence[Float[np.ndarray, _]] = terms
+        if isinstance(heuristic, SeparableHeuristic):
+            self.tables = terms = tabulate(level.joint, heuristic, budget.deadline)
+        elif heuristic is not None:
+            problem = level.joint.problem
+            estimates(heuristic, problem.starts[None].copy())  # whether it is one
+            self.plain, self.tables = heuristic, tabulate(level.joint, straight_line(problem), budget.deadline)
+        self.running: dict[str, LaCAM | BestFirstSearch] = {}
+        if "lacam" in options.searchers:
+            by_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in level.kinds]
+            moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance, budget.deadline)
+            self.running["lacam"] = LaCAM(level.joint, moves, budget)
+        self.turn = 1.0  # length of the next one, in first ones
+
+    def run(self, bar: tqdm) -> Status | None:
+        """Let each search go on for a turn, which is half as long again as the one before.
+
+        Returns:
+            SOLVED, or the limit that is reached; EXHAUSTED if no path along the lattices is left; None for a pause.
+
+        Raises:
+            TimeoutError: If the deadline passes within a step.
+        """
+        joint, budget, status = self.level.joint, self.budget, None
+        num_robots, finds_all = len(joint.lattices), "lacam" in self.running
+        if finds_all:
+            status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
+        lacks_path = status is None and "bl" in self.options.searchers
+        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory):
+            if "bl" not in self.running:
+                table = heuristic_table(joint, self.tables, self.weight, self.plain, budget.deadline)
+                self.running["bl"] = BestFirstSearch(joint, table, self.options, budget)
+            expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
+            status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
+            # Cells that are larger than a configuration may hide a path.
+            if status is Status.EXHAUSTED and self.options.cell_size is not None and finds_all:
+                status = None
+        elif not finds_all:
+            return Status.MEMORY_LIMIT
+        self.turn *= _LONGER
+        return status
+
+    def release(self) -> None:
+        """Stop counting what the lattices and the searches hold."""
+        for each in (self, *self.running.values()):
+            each.held.release()
+
+    @property
+    def found(self) -> tuple[str, State]:
+        """The search that has reached the goals, and its states from the starts to them."""
+        return next((name, search.branch) for name, search in self.running.items() if search.found is not None)
+
+    @property
+    def state(self) -> State:
+        """The nodes of the search that has more of them, or the starts before there is one."""
+        starts = np.array([[lattice.start for lattice in self.level.joint.lattices]])
+        return max((search.state for search in self.running.values()), key=len, default=starts)
+
+    @property
+    def num_bytes_needed(self) -> int:
+        """What best-first search needs to begin, beside what is held."""
+        return 0 if "bl" in self.running else bytes_of_tables(self.level.joint)
 
 
 def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool] = lambda step: True) -> float:
@@ -349,12 +560,12 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
     if len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
-    while step < _COARSEST * extent and (work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
+    while step < _COARSEST * extent and (_work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step
 
 
-def _harder(step: float, weight: float, options: BLOptions) -> tuple[float, float, BLOptions] | None:
+def _next_schedule(step: float, weight: float, options: BLOptions) -> tuple[float, float, BLOptions] | None:
     """The search after one that found a path: a finer lattice, a smaller weight; None if there is nothing left."""
     lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
     if options.step is None:

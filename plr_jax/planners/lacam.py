@@ -13,7 +13,7 @@ from tqdm import tqdm
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._options import HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
-from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds
+from plr_jax.planners.lattice import JointLattice, Kind, OfKinds, motions_with_ends
 
 # What the robots of a team may do next from a joint configuration, and which of their motions collide.
 
@@ -59,7 +59,7 @@ class TeamMoves:
         self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
         for k, kind in enumerate(kinds):
             self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
-            self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.stride
+            self.reach[kind.members] = kind.reach
         self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in kinds]
 
@@ -69,7 +69,7 @@ class TeamMoves:
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             node = state[kind.members]
-            target, cost = kind.motions(node)
+            target, cost = motions_with_ends(kind.table, kind.ends, node)
             score = np.where(np.isfinite(cost), estimate[np.arange(len(node))[:, None], target], np.inf)
             order = np.argsort(score, axis=1, kind="stable").tolist()
             num_free = np.isfinite(cost).sum(axis=1).tolist()

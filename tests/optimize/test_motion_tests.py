@@ -8,7 +8,7 @@ from space_helpers import far_from, nothing_known
 from space_helpers import rectangle as box
 
 from plr_jax import Box, MotionCost, PlaneSpace, Workspace, descend
-from plr_jax.optimize._motion_tests import MotionTests
+from plr_jax._descend import MotionTests
 
 SQUARE = Workspace(((0, 0), (2, 2)))
 DOOR = Workspace(((0, 0), (10, 10)), [box(4, 0, 6, 7), box(4, 8, 6, 10)])

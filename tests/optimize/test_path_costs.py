@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plr_jax import MotionCost, RectangleRobot, RigidBodySpace, Workspace
-from plr_jax.optimize._path_costs import PathCosts, unit_motions
+from plr_jax._descend import PathCosts, unit_motions
 
 SQUARE = Workspace(((0, 0), (2, 2)))
 

@@ -18,8 +18,8 @@ from planner_helpers import (
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import BLOptions, Status, straight_line, zero
+from plr_jax.planners._options import PRIMITIVES
 from plr_jax.planners.best_first import BestFirstSearch, SearchTree, bytes_of_tables, claimed_cells
-from plr_jax.planners.lattice.build import PRIMITIVES
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
 LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])

@@ -198,9 +198,9 @@ def test_whatever_the_time_limit_a_path_is_valid(limit):
 
 def test_on_a_given_lattice_lacam_is_made_once(monkeypatch):
     found = []
-    improve = driver._Run._improve
+    improve = driver.Run._improve
     monkeypatch.setattr(
-        driver._Run, "_improve", lambda run, searches: (found.append(searches.found[0]), improve(run, searches))[1]
+        driver.Run, "_improve", lambda run, searches: (found.append(searches.found[0]), improve(run, searches))[1]
     )
     options = BLOptions(step=0.5, cost_factor=1.0, time_limit=20)
     solution = bl_plan(scenes.cross(2), options=options)

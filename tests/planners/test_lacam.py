@@ -10,8 +10,8 @@ from team_helpers import TEAMS, search_of, team_of
 from plr_jax import DiscRobot, Problem, Workspace, scenes
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners import Status, lacam
+from plr_jax.planners._options import PRIMITIVES
 from plr_jax.planners.lacam import PIBT, Moves
-from plr_jax.planners.lattice.build import PRIMITIVES
 
 
 @pytest.mark.parametrize(

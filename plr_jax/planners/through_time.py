@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import require_time, runs
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, Traffic, circles
-from plr_jax.planners.lattice.build import Primitive, motions_of
-from plr_jax.planners.lattice.joint import Lattice
+from plr_jax.planners._options import Primitive
+from plr_jax.planners.lattice import Lattice, motions_of
 from plr_jax.robots.robot import between
 
 # Where each robot is at each row, and whether another motion fits in between.

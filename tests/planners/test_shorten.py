@@ -1,6 +1,6 @@
-"""Paths made shorter: over straight shortcuts, and as the cheapest motions within corridors."""
+"""Paths made shorter by straight shortcuts."""
 
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,36 +9,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_of, search_budget
 
-from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from plr_jax import BLOptions, DiscRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners.best_first import BestFirstSearch
-from plr_jax.planners.smoothing import _cheapest, _groups, halved, shorten, shorten_in_corridors
+from plr_jax.planners.shorten import shorten
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
-POINT = Problem(ROOM, [PointRobot()], [(1, 5)], [(9, 5)])
 BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])
 
 
-def checked(problem, path, shorten, *options, deadline=np.inf):
+def over_shortcuts(problem, path, deadline=np.inf):
     """What becomes of a path, which is left alone: as many rows, a valid path of the same ends, never costlier."""
     before = np.array(path, dtype=float)
     path = before.copy()
-    short = shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline), *options)
+    short = shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline))
     np.testing.assert_array_equal(path, before)
     report = validate(problem, short)
     assert report.valid, report.message
     assert short.shape == path.shape and report.cost <= path_cost(problem, path) * (1 + 1e-12)
     np.testing.assert_array_equal(short[[0, -1]], path[[0, -1]])
     return short
-
-
-def over_shortcuts(problem, path, **options):
-    return checked(problem, path, shorten, **options)
-
-
-def in_corridors(problem, path, width=0.2, **options):
-    return checked(problem, path, shorten_in_corridors, width, **options)
 
 
 def straight(problem, steps):
@@ -61,9 +52,6 @@ def straight_cost(problem):
     return pytest.approx(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-# Both
-
-
 @pytest.mark.parametrize(
     ("problem", "step"),
     [(scenes.four_rooms(3), 0.5), (scenes.cross(2), 0.4), (scenes.tangle(), 0.4), (MIXED, 0.8)],
@@ -75,22 +63,17 @@ def test_paths_of_the_search_become_cheaper_and_stay_valid(problem, step):
     while search.run(100_000) is None:
         pass
     path = joint.configurations(search.branch)
-    for shortened in (over_shortcuts, in_corridors):
-        assert path_cost(problem, shortened(problem, path)) < path_cost(problem, path)
+    assert path_cost(problem, over_shortcuts(problem, path)) < path_cost(problem, path)
 
 
-@pytest.mark.parametrize("shortened", [over_shortcuts, in_corridors])
-def test_past_the_deadline_and_of_one_or_two_rows_a_path_stays(shortened):
+def test_past_the_deadline_and_of_one_or_two_rows_a_path_stays():
     path = zigzag(ALONE, 9, 0.5)
-    np.testing.assert_array_equal(shortened(ALONE, path, deadline=-1.0), path)
-    assert (shortened(ALONE, path, deadline=1e12) != path).any()
+    np.testing.assert_array_equal(over_shortcuts(ALONE, path, deadline=-1.0), path)
+    assert (over_shortcuts(ALONE, path, deadline=1e12) != path).any()
     still = Problem(ROOM, ALONE.robots, ALONE.starts, ALONE.starts)
     for problem, steps in ((still, 1), (ALONE, 2)):
         path = np.stack([problem.starts, problem.goals])[:steps]
-        np.testing.assert_array_equal(shortened(problem, path), path)
-
-
-# Shortcuts
+        np.testing.assert_array_equal(over_shortcuts(problem, path), path)
 
 
 @pytest.mark.parametrize("problem", [ALONE, BAR, MIXED], ids=["disc", "bar", "mixed"])
@@ -162,85 +145,5 @@ def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
     if len(path) == 1:
         return
     problem = Problem(workspace, robots, path[0], path[-1])
-    for before in (path, halved(path)):
-        assert validate(problem, before).valid
-        over_shortcuts(problem, before)
-
-
-# Corridors
-
-
-def test_a_zigzag_of_one_robot_becomes_straight():
-    np.testing.assert_allclose(path_cost(POINT, in_corridors(POINT, zigzag(POINT, 17, 0.4))), 8, rtol=2e-3)
-
-
-def test_two_robots_that_touch_share_the_way_around_one_another():
-    """One goes straight and the other around it: neither gains by moving alone, both together do."""
-    problem = Problem(ROOM, [DiscRobot(0.5)] * 2, [(1, 5), (9, 5)], [(9, 5), (1, 5)])
-    x, steps = np.linspace(1, 9, 21), 21
-    around = 5 + 1.02 * np.clip(2 - np.abs(x - 5) / 1.5, 0, 1)
-    path = np.stack([np.stack([x, np.full(steps, 5.0)], 1), np.stack([x[::-1], around[::-1]], 1)], axis=1)
     assert validate(problem, path).valid
-    result = in_corridors(problem, path)
-    middle = result[9:12, :, 1] - 5
-    assert middle[:, 0].min() < -0.2 and middle[:, 1].max() < 0.8
-    # The least there is: each passes the other's side by a radius, along tangents.
-    least = 4 * np.hypot(4, 0.5)
-    assert path_cost(problem, result) < path_cost(problem, path) - 0.3
-    assert least - 1e-9 <= path_cost(problem, result) <= 1.005 * least
-
-
-def test_a_rectangle_turns_back_a_turn_that_leads_nowhere():
-    problem = Problem(ROOM, [RectangleRobot(1, 0.5)], [(2, 5, 0)], [(8, 5, 0)])
-    path = straight(problem, 13)
-    path[1:-1, 0, 2] = 0.3
-    assert path_cost(problem, path) > 6.3
-    np.testing.assert_allclose(path_cost(problem, in_corridors(problem, path, width=0.1)), 6, rtol=2e-2)
-
-
-def test_pairs_are_shortened_where_they_touch():
-    problem = Problem(ROOM, [DiscRobot(0.5)] * 3, [(1, 1), (1, 9), (9, 5)], [(9, 1), (9, 9), (1, 5)])
-    path = straight(problem, 17)
-    assert [robots for robots, _ in _groups(problem, path, 0.2)] == [(0,), (1,), (2,)]
-    path[8, 2] = (5, 2.1)
-    groups = dict(_groups(problem, path, 0.2))
-    assert set(groups) == {(0,), (1,), (2,), (2, 0)}
-    assert (groups[2, 0].start, groups[2, 0].stop) == (8 - 3, 8 + 4)
-
-
-def test_the_cheapest_sequence_is_that_of_a_brute_force():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        cost = rng.uniform(size=(4, 3, 3))
-        cost[rng.uniform(size=cost.shape) < 0.3] = np.inf
-        cost[:, 0, 0] = 2.0
-        places = _cheapest(cost)
-        assert places[0] == places[-1] == 0
-        every = [(0, *inner, 0) for inner in product(range(3), repeat=3)]
-        costs = [sum(cost[t, s[t], s[t + 1]] for t in range(4)) for s in every]
-        found = sum(cost[t, places[t], places[t + 1]] for t in range(4))
-        assert found == min(costs)
-
-
-# Subdivision
-
-
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000), steps=st.integers(2, 6))
-def test_subdivision_keeps_the_cost_and_the_rows(seed, steps):
-    rng = np.random.default_rng(seed)
-    path = np.concatenate([rng.uniform(0, 9, (steps, 3, 2)), rng.uniform(-9, 9, (steps, 3, 1))], axis=2)
-    finer = halved(path)
-    assert finer.shape == (2 * steps - 1, 3, 3)
-    np.testing.assert_array_equal(finer[::2], path)
-    problem = Problem(ROOM, [RectangleRobot(1.2, 0.4)] * 3, *2 * [[(2, 2, 0), (5, 5, 0), (8, 8, 0)]])
-    costs, halves = motion_costs(problem, path[:-1], path[1:]), motion_costs(problem, finer[:-1], finer[1:])
-    np.testing.assert_allclose(halves[::2], costs / 2, rtol=1e-9)
-    np.testing.assert_allclose(halves[1::2], costs / 2, rtol=1e-9)
-
-
-def test_the_middle_of_a_turn_across_the_half_turn():
-    path = np.array([[(0.0, 0.0, 3.0)], [(1.0, 2.0, -3.0)]])
-    middle = halved(path)[1, 0]
-    np.testing.assert_allclose(middle[:2], (0.5, 1.0))
-    assert np.cos(middle[2]) == pytest.approx(-1)
+    over_shortcuts(problem, path)

@@ -6,14 +6,12 @@ import networkx as nx
 import numpy as np
 import pytest
 from planner_helpers import search_budget
-from team_helpers import TEAMS, search_of, team_of
+from team_helpers import TEAMS, search_of
 
 from plr_jax import validate
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners import Status
-from plr_jax.planners._options import HeldMemory
-from plr_jax.planners.replanning import (
-    Conflicts,
+from plr_jax.planners.reservations import (
     ReservationTable,
     num_bytes_of_table,
     replan_each,
@@ -33,7 +31,7 @@ def table_of(name, waiting=6, seconds=60.0):
 
 def assert_blocked_as_from_scratch(table):
     budget = search_budget()
-    fresh = ReservationTable(table.kinds, table.costs_to_go, table.state, table.conflicts.tolerance, budget)
+    fresh = ReservationTable(table.kinds, table.costs_to_go, table.state, table.tolerance, budget)
     for blocked, expected in zip(table.blocked, fresh.blocked, strict=True):
         np.testing.assert_array_equal(blocked, expected)
 
@@ -70,7 +68,7 @@ def test_a_robot_gets_the_cheapest_path_among_the_others(name):
     for i in range(min(4, len(table.cost))):
         expected = cheapest_by_networkx(joint, table, i)
         before = table.cost[i]
-        table.release(i)
+        table.reserve(i, -1)
         assert table.replan(i, before) and table.cost[i] == pytest.approx(expected, rel=1e-12)
         table.reserve(i)
         assert table.cost[i] <= before * (1 + 1e-12)
@@ -81,12 +79,12 @@ def test_a_table_that_is_late_is_not_drawn_up():
         table_of("crowd", seconds=-1.0)
 
 
-def test_memory_counts_what_the_table_and_its_conflicts_take():
+def test_memory_counts_what_the_table_and_its_collisions_take():
     _, table = table_of("crowd")
     said = num_bytes_of_table(table.kinds, len(table.state))
     taken = sum(blocked.nbytes for blocked in table.blocked)
     assert taken / 2 <= said <= 4 * taken
-    known = [edges for of_pair in table.conflicts._known.values() for edges in of_pair.values()]
+    known = [edges for of_pair in table._known.values() for edges in of_pair.values()]
     assert table.budget.memory == table.held.num_bytes >= said + sum(edges.nbytes for edges in known)
     assert all(edges.base is None for edges in known)
     table.held.release()
@@ -105,19 +103,16 @@ def test_after_the_deadline_paths_stay_as_they_are():
 
 
 @pytest.mark.parametrize("name", TEAMS)
-def test_conflicts_are_those_of_each_two_motions(name):
-    problem, step = TEAMS[name]
-    _, moves = team_of(problem, step)
-    held, rng = HeldMemory(search_budget()), np.random.default_rng(0)
-    conflicts = Conflicts(moves.kinds, problem.workspace.tolerance, held)
-    for a, ours in enumerate(moves.kinds):
-        for b, others in enumerate(moves.kinds):
-            edges = rng.integers(ours.edges.num_edges, size=5)
-            every = np.arange(others.edges.num_edges)
-            for edge, found in zip(edges.tolist(), conflicts.of(a, edges, b), strict=True):
-                q0, q1 = (ours.table.q[[node[edge]] * len(every)] for node in (ours.edges.begin, ours.edges.end))
-                p0, p1 = (others.table.q[node[every]] for node in (others.edges.begin, others.edges.end))
-                free = motions_apart(ours.robot, q0, q1, others.robot, p0, p1, problem.workspace.tolerance)
+def test_collisions_are_those_of_each_two_motions(name):
+    (_, table), rng = table_of(name), np.random.default_rng(0)
+    for a, ours in enumerate(table.kinds):
+        for b, others in enumerate(table.kinds):
+            edges = rng.integers(ours.num_edges, size=5)
+            every = np.arange(others.num_edges)
+            for edge, found in zip(edges.tolist(), table.collisions(a, edges, b), strict=True):
+                q0, q1 = (ours.table.q[[node[edge]] * len(every)] for node in (ours.begin, ours.end))
+                p0, p1 = (others.table.q[node[every]] for node in (others.begin, others.end))
+                free = motions_apart(ours.robot, q0, q1, others.robot, p0, p1, table.tolerance)
                 assert sorted(found.tolist()) == np.flatnonzero(~free).tolist()
 
 

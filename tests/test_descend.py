@@ -27,8 +27,7 @@ from plr_jax import (
     solve_eikonal,
 )
 from plr_jax.geometry.corners import find_corners
-from plr_jax.optimize._descent import DescentStatus
-from plr_jax.optimize._path_costs import PathCosts
+from plr_jax._descend import DescentStatus, PathCosts
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 TEN = ((0, 0), (10, 10))

@@ -7,8 +7,8 @@ from planner_helpers import MIXED, ROOM
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.timetable import ROWS_PER_STEP, LoneRobot, Timetable, in_rows, plan_through_time
+from plr_jax.planners._options import PRIMITIVES
+from plr_jax.planners.through_time import ROWS_PER_STEP, LoneRobot, Timetable, in_rows, plan_through_time
 from plr_jax.robots.robot import between
 
 LENGTH = 0.15

@@ -10,9 +10,8 @@ from team_helpers import MIXED, team_of
 
 from plr_jax import BLOptions, DiscRobot, Problem, RectangleRobot, bl_plan, scenes
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners import Status, best_first, lacam, searches, straight_line
-from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.replanning import Conflicts
+from plr_jax.planners import Status, best_first, driver, lacam, straight_line
+from plr_jax.planners._options import PRIMITIVES
 
 LONG_AGO, FAR_OFF, NEVER = -1.0, 1e12, float("inf")  # on the clock
 NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
@@ -20,7 +19,7 @@ NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
 
 def level_of(problem, step, deadline=NEVER):
     test = JointMotionTest(problem.workspace, problem.robots, deadline)
-    level = searches.build_level(problem, test, step, PRIMITIVES)
+    level = driver.build_level(problem, test, step, PRIMITIVES)
     assert level is not None
     return level
 
@@ -56,8 +55,8 @@ def test_lattices_take_as_many_bytes_as_they_say(problem, step):
 def test_a_table_is_counted_once_for_all_that_share_it_and_ends_count_as_nodes():
     alike = nudged_discs(4)
     unlike = Problem(alike.workspace, [DiscRobot(0.2 + 0.01 * i) for i in range(16)], alike.starts, alike.goals)
-    assert searches.num_bytes(unlike, 0.5, 8) > 4 * searches.num_bytes(alike, 0.5, 8)
-    coarse, fine = (searches.num_bytes(nudged_discs(1), step, 8) for step in (0.5, 0.25))
+    assert driver.num_bytes(unlike, 0.5, 8) > 4 * driver.num_bytes(alike, 0.5, 8)
+    coarse, fine = (driver.num_bytes(nudged_discs(1), step, 8) for step in (0.5, 0.25))
     assert fine / coarse == pytest.approx((64 + 2) / (16 + 2))
 
 
@@ -79,12 +78,10 @@ def test_a_search_that_runs_out_of_time_within_a_step(searcher, monkeypatch):
 def test_every_test_of_motions_knows_the_deadline():
     level, budget = level_of(scenes.crowd(25), 0.5), search_budget()
     budget.deadline = LONG_AGO
-    late = searches.Searches(level, None, 2.0, BLOptions(), budget)
+    late = driver.Searches(level, None, 2.0, BLOptions(), budget)
     assert "lacam" in late.running
     with pytest.raises(TimeoutError):
         best_first.heuristic_table(level.joint, late.tables, 2.0, None, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        Conflicts(level.kinds, 1e-9, late.held).of(0, np.arange(5), 0)
     with pytest.raises(TimeoutError):
         late.running["lacam"].moves(np.arange(25))
 
@@ -92,8 +89,8 @@ def test_every_test_of_motions_knows_the_deadline():
 def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):
     problem = scenes.four_rooms(2)
     level_of(problem, 0.5, FAR_OFF)
-    monkeypatch.setattr(searches, "_SECONDS", FAR_OFF)
-    with pytest.raises(TimeoutError, match="before the edges of the lattices were known"):
+    monkeypatch.setattr(driver, "_SECONDS", FAR_OFF)
+    with pytest.raises(TimeoutError, match="before the costs-to-go were known"):
         level_of(problem, 0.5, FAR_OFF)
     level_of(problem, 0.5)  # no limit
 
@@ -103,7 +100,7 @@ def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):
 
 def test_costs_to_go_in_portions(monkeypatch):
     whole = level_of(scenes.door(6), 0.5)
-    monkeypatch.setattr(searches, "_NODES", 1)
+    monkeypatch.setattr(driver, "_NODES", 1)
     for costs, expected in zip(level_of(scenes.door(6), 0.5).costs_to_go, whole.costs_to_go, strict=True):
         np.testing.assert_array_equal(costs, expected)
 

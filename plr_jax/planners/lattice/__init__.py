@@ -1,1 +1,0 @@
-"""The lattices on which planners search: configurations of robots, and motions between them."""

@@ -1,0 +1,220 @@
+"""A table of reservations: when the motions of a team block which edges, and how robots are planned anew in between.
+
+References:
+    Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large neighborhood
+    search", 2021.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from plr_jax._arrays import run_members
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners._options import HeldMemory, SearchBudget
+from plr_jax.planners.lattice import Kind, OfKinds, State
+
+_CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
+_ENTRY_BYTES = 200  # what an edge takes whose collisions are kept, besides the edges that collide with it
+_EDGE_BYTES, _NODE_BYTES = 2, 8  # what an edge takes, and a node while a robot is replanned, a step
+_ROUNDING = 1e-9
+_GAIN = 1e-2  # share of the cost below which another round is not worth its time
+_NEIGHBORHOOD = 5  # robots
+
+Edges: TypeAlias = Int[np.ndarray, "_"]
+
+
+class ReservationTable:
+    """The path of each robot on its lattice, and how many robots block each edge at each step.
+
+    Robots wait at no cost. So there are more steps than a path needs, which gives them time to wait. Which edges
+    collide with which is computed when it is first needed, and kept.
+
+    Attributes:
+        state: The nodes of each robot, ``(steps + 1, robots)``.
+        cost: What the paths of the robots cost.
+        least: What they would cost if each were alone.
+        held: Memory that it holds.
+
+    Raises:
+        TimeoutError: If time or memory is spent before all paths are reserved.
+    """
+
+    def __init__(
+        self, kinds: Sequence[Kind], costs_to_go: OfKinds, state: State, tolerance: float, budget: SearchBudget
+    ):
+        self.kinds, self.costs_to_go, self.state, self.budget = kinds, costs_to_go, state.copy(), budget
+        self.tolerance, self.held = tolerance, HeldMemory(budget)
+        self.held.add(num_bytes_of_table(kinds, len(state)))
+        self._costs_to_come: dict[int, Float[np.ndarray, _]] = {}
+        pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
+        self._known: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
+        self._chunk = dict.fromkeys(pairs, 1)
+        self.place = {int(i): (k, row) for k, kind in enumerate(kinds) for row, i in enumerate(kind.members)}
+        size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
+        self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in kinds]
+        self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
+        for i, (k, row) in self.place.items():
+            self.least[i] = costs_to_go[k][row, kinds[k].ends.node[row, 0]]
+            self.cost[i] = kinds[k].cost[kinds[k].along(self.state[:, i])].sum()
+        try:
+            for i in self.place:
+                self.reserve(i)
+        except TimeoutError:
+            self.held.release()
+            raise
+
+    def reserve(self, i: int, change: int = 1) -> None:
+        """Block the edges that collide with the path of a robot, or free them again if the change is -1.
+
+        Raises:
+            TimeoutError: If time or memory is spent before all collisions are found.
+        """
+        a = self.place[i][0]
+        motions = self.kinds[a].along(self.state[:, i])
+        for b, blocked in enumerate(self.blocked):
+            colliding = self.collisions(a, motions, b)
+            step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
+            blocked[step, np.concatenate(colliding)] += change  # no entry comes twice
+
+    def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
+        """For each of some edges of kind ``a``, the edges of kind ``b`` whose motions collide with it.
+
+        Raises:
+            TimeoutError: If time or memory is spent before all are found. What was found is kept.
+        """
+        known, (ours, others) = self._known[a, b], (self.kinds[a], self.kinds[b])
+        tree, order, first = self._near[b]
+        missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
+        while len(missing):
+            if self.budget.spent():
+                raise TimeoutError("Time or memory was spent before all collisions were found.")
+            part, missing = np.split(missing, [self._chunk[a, b]])
+            begin, end = ours.table.q[ours.begin[part]], ours.table.q[ours.end[part]]
+            near = tree.query_ball_point(begin[:, :2], ours.reach + others.reach)
+            row = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
+            index, at = run_members(first, np.concatenate(near).astype(int))
+            row, edge = row[at], order[index]
+            self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
+            motions = others.table.q[others.begin[edge]], others.table.q[others.end[edge]]
+            apart = motions_apart(
+                *(ours.robot, begin[row], end[row], others.robot, *motions), self.tolerance, self.budget.deadline
+            )
+            row, edge = row[~apart], edge[~apart].astype(np.int32)
+            found = [each.copy() for each in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
+            known.update(zip(part.tolist(), found, strict=True))
+            self.held.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
+        return [known[edge] for edge in edges.tolist()]
+
+    @cached_property
+    def _near(self) -> list[tuple[KDTree, Edges, Int[np.ndarray, "nodes_and_1"]]]:
+        """Of each kind the places of its nodes, and its edges by the node where they begin."""
+        found = []
+        for kind in self.kinds:
+            begin = kind.begin[: kind.num_edges]
+            order = np.argsort(begin, kind="stable")
+            first = np.searchsorted(begin[order], np.arange(len(kind.table.q) + 1))
+            found.append((KDTree(kind.table.q[:, :2]), order, first))
+        return found
+
+    def replan(self, i: int, most: float) -> bool:
+        """Give a robot whose path is released its cheapest one among the others; whether that costs at most ``most``.
+
+        If it does not, or time is up, the robot keeps its path.
+        """
+        k, row = self.place[i]
+        kind, blocked = self.kinds[k], self.blocked[k]
+        start, goal = kind.ends.node[row].tolist()
+        if i not in self._costs_to_come:
+            self._costs_to_come[i] = kind.costs_to_come(row)
+            self.held.add(self._costs_to_come[i].nbytes)
+        least = self._costs_to_come[i] + self.costs_to_go[k][row]
+        least[[start, goal]] = 0.0
+        nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
+        index = np.full(len(least), len(nodes))
+        index[nodes] = np.arange(len(nodes))
+        into = kind.into_nodes(row)[:, nodes]
+        begin, cost = index[kind.begin[into]], kind.cost[into]
+        # Cost-to-come by step and node; the last column stands for all nodes that lead nowhere cheap.
+        reached = np.full((len(self.state), len(nodes) + 1), np.inf)
+        reached[0, index[start]] = 0.0
+        for step in range(len(blocked)):
+            arriving = np.where(blocked[step][into], np.inf, reached[step][begin] + cost)
+            arriving.min(axis=0, out=reached[step + 1, :-1])
+            if self.budget.spent():
+                return False
+        at = index[goal]
+        if not reached[-1, at] <= most * (1 + _ROUNDING):
+            return False
+        self.cost[i], self.state[-1, i] = reached[-1, at], goal
+        for step in range(len(blocked) - 1, -1, -1):
+            arriving = np.where(blocked[step][into[:, at]], np.inf, reached[step][begin[:, at]] + cost[:, at])
+            at = begin[arriving.argmin(), at]
+            self.state[step, i] = nodes[at]
+        return True
+
+
+def num_bytes_of_table(kinds: Sequence[Kind], num_rows: int) -> int:
+    """About what a table of reservations takes, without the collisions."""
+    num_edges = sum(kind.num_edges for kind in kinds)
+    num_nodes = max(len(kind.table.q) for kind in kinds)
+    return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
+
+
+def replan_each(table: ReservationTable) -> None:
+    """Replan each robot in turn, those first that lose most, until that gains little."""
+    while True:
+        before = table.cost.sum()
+        for i in np.argsort(table.least - table.cost).tolist():
+            if table.budget.spent():
+                return
+            if table.cost[i] > table.least[i] * (1 + _ROUNDING):
+                table.reserve(i, -1)
+                table.replan(i, float(table.cost[i]))
+                table.reserve(i)
+        if before - table.cost.sum() <= _GAIN * before:
+            return
+
+
+def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
+    """Replan robots one after the other, as if those to come were not there; whether that costs less.
+
+    If it costs more, all keep their paths. Paths that cost the same are taken over.
+    """
+    robots = list(robots)
+    state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
+    for i in robots:
+        table.reserve(i, -1)
+    reserved = []
+    try:
+        for done, i in enumerate(robots):
+            spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
+            if not table.replan(i, cost.sum() - spent - needed):
+                return False
+            table.reserve(i)
+            reserved.append(i)
+        return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+    finally:
+        if len(reserved) < len(robots):
+            for i in reserved:
+                table.reserve(i, -1)
+            table.state[:, robots], table.cost[robots] = state, cost
+            for i in robots:
+                table.reserve(i)
+
+
+def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
+    """Replan so many neighborhoods: a robot that loses, chosen at random, and those that come nearest to it."""
+    for _ in range(count):
+        loss = np.maximum(table.cost - table.least, 0.0)
+        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least.sum():
+            return
+        i = int(rng.choice(len(loss), p=loss / loss.sum()))
+        places = [table.kinds[table.place[j][0]].table.q[table.state[:, j], :2] for j in range(len(loss))]
+        gap = np.array([np.hypot(*(place - places[i]).T).min() for place in places]) * rng.uniform(1, 2, len(loss))
+        neighborhood = np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]
+        replan_together(table, rng.permutation(neighborhood).tolist())
