@@ -667,7 +667,7 @@ def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarra
 def _best_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """The cheapest free place between two nodes, for each: the configuration as it is, or after one of the changes."""
+    """The cheapest free place between each two nodes: the configuration as it is, or after one of the changes."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

@@ -1,4 +1,4 @@
-"""Best-first search over joint configurations that claims every cell once, its children and its heuristic table."""
+"""Barraquand and Latombe's search: best-first over joint configurations, which claims every joint cell once."""
 
 import heapq
 import math
@@ -17,12 +17,19 @@ from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.lattice import JointLattice, Lattice, State
 
-# Joint configurations and their children: products of the robots' primitives, scored and checked together.
-
+_CHUNK = 1 << 15  # configurations of a robot whose estimates are asked for at a time, between two looks at the clock
+_PURPOSE = "the heuristic was known"
+_INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
+_NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
+_MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node
+_COPIES, _SCORE_BYTES = 3, 12  # of the primitives of a joint child, and what a product takes while it is cut
+_KEPT = 16  # one of so many joint children that are found is kept
+_WIDER = 8  # how much wider a node's children are sought when those kept are used up
+_WIDEST = 1 << 16
+_PRODUCTS = 1 << 20  # of a robot's primitives and what others do, at a time, which bounds the temporaries
 
 Plain: TypeAlias = HeuristicFn | None
 Table: TypeAlias = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
-Terms: TypeAlias = Float[np.ndarray, "_ _"]  # what each primitive of each configuration scores
 Scores: TypeAlias = Float[np.ndarray, "n m"]
 Joint: TypeAlias = UInt8[np.ndarray, "n m robots"]  # joint primitives
 
@@ -34,7 +41,7 @@ class Successors(NamedTuple):
         score: Sums of the robots' terms; ``inf`` for children that collide.
         primitive: The primitive of each robot.
         num_scored: Joint children, whole and partial, that were scored to find them.
-        num_valid: Of the whole ones, how many collide with nothing.
+        num_valid: How many whole children collide with nothing.
         whole: Whether no collision-free child is missing.
     """
 
@@ -45,12 +52,14 @@ class Successors(NamedTuple):
     whole: Bool[np.ndarray, "n"]
 
 
-def best_successors(joint: JointLattice, terms: Sequence[Terms], state: State, width: int) -> Successors:
+def best_successors(
+    joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int
+) -> Successors:
     """The best children of joint configurations, one robot added after the other.
 
     The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next
-    robot joins. A product that fits is not cut, so that its children are complete. The ``terms`` are each robot's, of
-    its configurations' primitives, ``inf`` where blocked.
+    robot joins. A product that fits is not cut, so that its children are complete. The ``terms`` are the scores of
+    each robot's configurations and primitives, ``inf`` where blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -78,28 +87,23 @@ def best_successors(joint: JointLattice, terms: Sequence[Terms], state: State, w
     return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
 
 
-# What a search knows of the cost-to-go: a heuristic's terms as tables over the lattices, or the plain function.
-
-
-_CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
-_PURPOSE = "the heuristic was known"
-_INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
-
-
 class HeuristicTable(NamedTuple):
     """A weighted heuristic over the robots' lattices.
 
     A separable heuristic is evaluated once a configuration of a robot, before the search. Of any other, each joint
     child is evaluated; straight lines then choose which children are worth it where there are too many.
 
-    The ``tables`` hold each robot's unweighted terms (of a ``plain`` heuristic, which has none, those of straight
-    lines), ``scores`` the cost of each configuration's primitives and the weighted term of where they lead;
-    ``farthest`` is the least that stands for an infinite joint estimate.
+    Args:
+        weight: The factor of the heuristic.
+        tables: Each robot's unweighted terms; those of straight lines beside a ``plain`` heuristic.
+        scores: The cost of each configuration's primitives and the weighted term of where they lead.
+        plain: The heuristic if it has no terms.
+        farthest: The least number that stands for an infinite joint estimate.
     """
 
     weight: float
     tables: Sequence[Table]
-    scores: Sequence[Terms]
+    scores: Sequence[Float[np.ndarray, "_ _"]]
     plain: Plain
     farthest: float
 
@@ -162,47 +166,6 @@ def heuristic_table(
     return HeuristicTable(weight, tables, scores, plain, float(2 * sum(table.max() for table in tables)))
 
 
-_NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
-_MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node
-_COPIES, _SCORE_BYTES = 3, 12  # of the primitives of a joint child, and what a product takes while it is cut
-_KEPT = 16  # one of so many joint children that are found is kept
-_WIDER = 8  # how much wider a node's children are sought when those kept are used up
-_WIDEST = 1 << 16
-_PRODUCTS = 1 << 20  # of a robot's primitives and what others do, at a time, which bounds the temporaries
-
-
-@dataclass
-class SearchTree:
-    """The nodes of a search: where they are, what they cost, whose children they are."""
-
-    state: Int[np.ndarray, "capacity robots"]
-    cost: Float[np.ndarray, "capacity"]
-    parent: Int[np.ndarray, "capacity"]
-    size: int
-
-    @classmethod
-    def of(cls, root: Int[np.ndarray, "robots"]) -> "SearchTree":
-        """A tree of its root alone."""
-        return cls(root[None].astype(np.int32), np.zeros(1), np.full(1, -1), 1)
-
-    def add(self, state: Int[np.ndarray, "robots"], cost: float, parent: int) -> int:
-        """Add a child of a node; its index."""
-        node = self.size
-        if node == len(self.cost):
-            rows = np.arange(max(1024, 2 * node)) % node  # what is beyond the size is of no account
-            self.state, self.cost, self.parent = self.state[rows], self.cost[rows], self.parent[rows]
-        self.state[node], self.cost[node], self.parent[node] = state, cost, parent
-        self.size = node + 1
-        return node
-
-    def branch(self, node: int) -> State:
-        """The states from the root to a node."""
-        nodes = [node]
-        while self.parent[nodes[-1]] >= 0:
-            nodes.append(int(self.parent[nodes[-1]]))
-        return self.state[nodes[::-1]]
-
-
 @dataclass
 class SuccessorList:
     """The best successors of an expanded node, best first, and how far they have been looked at.
@@ -231,6 +194,10 @@ class BestFirstSearch:
     A node adds only a few children at a time, and returns to the frontier with the score of its next one
     (partial expansion). Several nodes are expanded at once while the search makes no progress.
 
+    Attributes:
+        states, costs, parents: For each node where it is, its cost-to-come and the node whose child it is; -1 for
+            the root.
+        found: The node at the goals, once there is one.
     """
 
     def __init__(self, joint: JointLattice, estimate: HeuristicTable, options: BLOptions, budget: SearchBudget):
@@ -241,8 +208,8 @@ class BestFirstSearch:
         self.held.add(bytes_of_tables(joint))
         self.most_products = 0  # bytes that the widest products took so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
-        start = np.array([lattice.start for lattice in joint.lattices])
-        self.tree = SearchTree.of(start)
+        start = np.array([lattice.start for lattice in joint.lattices], np.int32)
+        self.states, self.costs, self.parents = [start], [0.0], [-1]
         self.nearest = self.estimate(joint, start[None])[0]
         self.claimed = {self._cells_of(start[None])[0].tobytes()}
         self.frontier = [(float(self.nearest), 0, 0)]
@@ -278,12 +245,16 @@ class BestFirstSearch:
     def branch(self) -> State:
         """States from the starts to the goals, once these are found."""
         assert self.found is not None
-        return self.tree.branch(self.found)
+        node, states = self.found, [self.states[self.found]]
+        while self.parents[node] >= 0:
+            node = self.parents[node]
+            states.append(self.states[node])
+        return np.array(states[::-1])
 
     @property
     def state(self) -> State:
         """All nodes, in the order of their making."""
-        return self.tree.state[: self.tree.size]
+        return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
         """Find the best children of nodes that have none kept."""
@@ -292,10 +263,10 @@ class BestFirstSearch:
             if node not in self.successors:
                 by_width.setdefault(self.wider.get(node, self.options.width), []).append(node)
         most = max(lattice.num_primitives for lattice in self.joint.lattices)
-        for width, alike in by_width.items():
+        for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
-            for begin in range(0, len(alike), size):
-                some = alike[begin : begin + size]
+            for begin in range(0, len(of_width), size):
+                some = of_width[begin : begin + size]
                 # Count the widest products so far as held: they may be as wide again.
                 num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.held.add(max(0, num_bytes - self.most_products))
@@ -306,7 +277,7 @@ class BestFirstSearch:
 
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""
-        state, cost = self.tree.state[nodes], self.tree.cost[nodes]
+        state, cost = np.array([self.states[node] for node in nodes]), np.array([self.costs[node] for node in nodes])
         children = best_successors(self.joint, self.estimate.scores, state, width)
         score, primitive = self.estimate.rescored(self.joint, state, children)
         num_valid = np.isfinite(score).sum(axis=1)
@@ -343,12 +314,14 @@ class BestFirstSearch:
                 successors.at = child
                 self._return(score, node)
                 return
-            state, cost = successors.state[child], successors.cost[child]
+            state, cost = successors.state[child].copy(), float(successors.cost[child])
             self.claimed.add(cell)
-            added = self.tree.add(state, cost, node)
-            self._return(score, added)
+            self._return(score, len(self.states))
             if np.array_equal(state, self.goal):
-                self.found = added
+                self.found = len(self.states)
+            self.states.append(state)
+            self.costs.append(cost)
+            self.parents.append(node)
             self.nearest = min(self.nearest, score - cost)
             self.budget.num_nodes += 1
             self.held.add(_NODE_BYTES + 8 * len(state))
@@ -358,7 +331,7 @@ class BestFirstSearch:
         if not successors.whole and successors.width < _WIDEST:
             self.wider[node] = successors.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
-            self._return(successors.score[-1] if len(successors.score) else self.tree.cost[node], node)
+            self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""

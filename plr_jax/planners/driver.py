@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn, SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
@@ -32,7 +32,7 @@ from plr_jax.planners.lattice import (
 )
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, side_by_side
-from plr_jax.planners.shorten import shorten
+from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.robots.robot import Robot, between
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
@@ -76,8 +76,9 @@ def bl_plan(
       as in A*. It finds what takes a plan, such as a swap in a tight place.
 
     Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
-    is shortened by straight shortcuts of one robot. Under a ``cost_factor``, groups of robots are planned anew
-    together, and searches on finer lattices and with smaller weights go on, until a limit.
+    is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
+    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer
+    lattices and with smaller weights go on, until a limit.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -299,13 +300,16 @@ class Run:
         gains = self.enough < math.inf or factor > _NEAR_LEAST
         if len(self.problem.robots) > 1 and len(state) > 1 and gains:
             path, factor = self._path(searches, self._replanned(searches, state))
-        for is_halved in (False, True):
+        for number, shortened in enumerate((shorten, shorten_in_corridors, shorten)):
             if self.cost <= self.enough < math.inf:
                 return
-            if is_halved:  # a row in the middle of every motion
+            if number == 1 and len(self.problem.robots) == 1 and self.enough == math.inf:
+                continue  # shortcuts leave a lone robot little to gain
+            if number == 2:  # a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
-            path = shorten(self.problem, path, self.test)
+            more = (searches.level.step / 2,) if number == 1 else ()
+            path = shortened(self.problem, path, self.test, *more)
             self.ends("shorten")
             self.offer(path, found_by, factor)
 

@@ -22,8 +22,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csgraph as sparse_graphs
 from scipy.sparse import csr_array
 
-from plr_jax._arrays import runs
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time, runs
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test

@@ -1,10 +1,13 @@
-"""Paths made cheaper off the lattices: straight shortcuts of one robot while the others keep their motions.
+"""Paths made cheaper off the lattices, robot by robot while the others keep their motions.
+
+By the best set of straight shortcuts of each, and within narrow corridors about what robots do.
 
 A shortcut collides in many of the path's motions or in none, as a rule. So a few motions far from one another are
 tested first, and the rest of them where these are free. A robot that gained nothing is left alone until one that
 stood in its way has moved.
 """
 
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import pairwise
 
@@ -13,13 +16,15 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import runs
-from plr_jax._deadline import require_time
+from plr_jax._arrays import require_time, run_members, runs
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.team import JointMotionTest, Traffic, circles
+from plr_jax.collision.team import Circles, JointMotionTest, Traffic, circles, circles_along, within_reach
 from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
+
+# Shortcuts.
+
 Rows = Int[np.ndarray, "m"]
 
 _LONGEST = 32  # steps that one shortcut spans at most
@@ -104,3 +109,179 @@ def _with_shortcuts(
     while rows[-1] > 0:
         rows.append(int(previous[rows[-1]]))
     return rows[::-1], in_way
+
+
+# Shorten a path within corridors: the cheapest motions of one robot, or of two at a time, close about theirs.
+#
+# At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
+# sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
+# motions. Two robots that touch have to move together: neither gains by making way alone. Where the corridors stop
+# gaining, they are made narrower.
+
+
+Corridor = Float[np.ndarray, "steps _ dof"]  # robots of several kinds have patterns of several sizes
+Costs = Float[np.ndarray, "motions size size"]
+OfOne = Float[np.ndarray, "motions _ _"]
+Robots = tuple[int, ...]
+
+_STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
+_CORRIDOR_GAIN = 3e-3  # share of the cost below which the corridors are narrowed
+_NARROWINGS = 3
+_REACH = 4  # widths of a corridor within which two robots count as touching
+_MARGIN = 3  # rows before and after those in which they do
+_ROUNDING = 1e-9
+_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
+
+
+def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
+    """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
+
+    The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
+    and is never costlier. It ends early at the deadline of the test.
+    """
+    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
+    narrowest, diagonal = width / 2**_NARROWINGS, False
+    with suppress(TimeoutError):
+        while width > narrowest:
+            for robots, rows in _groups(problem, traffic.path, width):
+                own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
+                least = straight_costs(own[0], own[-1], weights).sum()
+                if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
+                    continue  # they go straight: there is nothing to gain
+                found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+                for i, q in zip(robots, found, strict=True):
+                    if (q != traffic.path[rows, i]).any():
+                        traffic.move(i, q, rows)
+            diagonal = not diagonal
+            before, cost = cost, path_cost(problem, traffic.path)
+            if before - cost <= _CORRIDOR_GAIN * before:
+                width /= 2
+    return traffic.path
+
+
+def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
+    """What is shortened together: every robot alone, and each two in the rows in which they touch.
+
+    The path may change between one and the next.
+    """
+    for i in range(len(problem.robots)):
+        yield (i,), slice(0, len(path))
+        touch, j = _touching(problem, path, i, width), -1
+        while touch[:, j + 1 :].any():
+            j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
+            rows, before = np.flatnonzero(touch[:, j]), path[:, i].copy()
+            yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
+            if (path[:, i] != before).any():
+                touch = _touching(problem, path, i, width)
+
+
+def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
+    """In which rows robot ``i`` touches each of those before it."""
+    size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
+    offset = path[:, :i, :2] - path[:, i, None, :2]
+    return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
+
+
+def _shortened(
+    problem: Problem,
+    traffic: Traffic,
+    rows: slice,
+    robots: Robots,
+    test: JointMotionTest,
+    width: float,
+    diagonal: bool,
+) -> list[Float[np.ndarray, "rows dof"]]:
+    """The robots' cheapest motions within their corridors in some rows, both ends as they are.
+
+    Only motions are tested that may be part of something cheaper than what the robots do. ``TimeoutError`` past the
+    deadline of the test.
+    """
+    require_time(test.deadline, "all corridors were searched")
+    path, motion = traffic.path[rows], np.arange(rows.start, rows.stop - 1)
+    corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
+    around = [circles_along(own) for own in corridors]
+    own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
+    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
+    through = [_least_through(cost) for cost in costs]
+    least = [float(cost[0].min()) for cost in through]
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
+    for i, corridor, reached, cost, total, alone in zip(
+        robots, corridors, around, costs, through, least, strict=True
+    ):
+        # The motions that the robot makes keep their cost. Others must be hopeful, and hit no wall and no other robot
+        # but those that are shortened with it.
+        own, hopeful = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
+        cost[~hopeful] = np.inf
+        row, first, last = np.nonzero(hopeful)
+        tight = ~test.of_walls[i].has_room(*reached)[row]
+        begin, end = corridor[row, first], corridor[row + 1, last]
+        free = np.ones(len(row), dtype=bool)
+        free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
+        near, other = traffic.near(i, reached, motion, robots)
+        tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+        free[tested[test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])]] = False
+        cost[row[~free], first[~free], last[~free]] = np.inf
+        cost[:, 0, 0] = own
+    cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
+    places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
+    return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
+
+
+def _joint_costs(
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[OfOne], test: JointMotionTest
+) -> Float[np.ndarray, "motions pairs pairs"]:
+    """Costs from each two of two robots' places to each two, ``inf`` where they collide with one another."""
+    (i, j), (a, b) = robots, corridors
+    cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
+    shape, size = cost.shape, cost.shape[1] * cost.shape[2]
+    cost = cost.reshape(-1, size, size)
+    own = cost[:, 0, 0].copy()
+    hopeful = _least_through(cost) < (1 - _ROUNDING) * own.sum()
+    near = np.zeros(len(cost), dtype=bool)
+    near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
+    tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+    row, a_first, b_first, a_last, b_last = tested
+    apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
+    cost[~hopeful] = np.inf
+    cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
+    cost[:, 0, 0] = own
+    return cost
+
+
+def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
+    """Configurations about each row, the row itself first; at both ends nothing else."""
+    axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    offsets = np.zeros((len(_FIVE), q.shape[1]))
+    offsets[:, :2] = width * _FIVE @ axes
+    if problem.robots[i].dof == 3:
+        turn = width / problem.robots[i].circumscribed_radius
+        offsets = np.concatenate([offsets, [(0, 0, turn), (0, 0, -turn)]])
+    corridor = q[:, None] + offsets
+    corridor[[0, -1]] = q[[0, -1], None]
+    return corridor
+
+
+def _least_through(cost: Costs) -> Costs:
+    """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
+    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
+    so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
+    so_far[0, :, 0] = 0.0
+    for motion in range(len(cost) - 1):
+        np.minimum.reduce(so_far[motion][:, :, None] + both[motion], axis=1, out=so_far[motion + 1])
+    return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
+
+
+def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
+    """Places of the cheapest sequence of motions, from place 0 to place 0."""
+    size, rows = cost.shape[1], np.arange(cost.shape[1])
+    so_far = np.full(size, np.inf)
+    so_far[0] = 0.0
+    previous = np.empty((len(cost), size), dtype=np.intp)
+    for motion, through in enumerate(cost):
+        total = so_far[:, None] + through
+        previous[motion] = total.argmin(axis=0)
+        so_far = total[previous[motion], rows]
+    places = np.zeros(len(cost) + 1, dtype=np.intp)
+    for motion in range(len(cost) - 1, -1, -1):
+        places[motion] = previous[motion, places[motion + 1]]
+    return places

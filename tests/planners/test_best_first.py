@@ -19,7 +19,7 @@ from planner_helpers import (
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import BLOptions, Status, straight_line, zero
 from plr_jax.planners._options import PRIMITIVES
-from plr_jax.planners.best_first import BestFirstSearch, SearchTree, bytes_of_tables, claimed_cells
+from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, claimed_cells
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
 LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])
@@ -88,7 +88,7 @@ def test_without_heuristic_every_cell_has_its_distance_where_motions_are_equal(b
     (lattice,) = search.joint.lattices
     assert run_on(search) is Status.EXHAUSTED
     expected = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
-    costs = dict(zip(search.state[:, 0].tolist(), search.tree.cost[: search.tree.size].tolist(), strict=True))
+    costs = dict(zip(search.state[:, 0].tolist(), search.costs, strict=True))
     assert costs == expected and costs[lattice.goal] == 24.0
 
 
@@ -107,7 +107,7 @@ def test_nodes_come_in_the_order_of_the_book(problem, step, weight):
     assert run_on(search) is Status.SOLVED
     states, costs = nodes_by_the_book(search.joint.lattices[0], search.estimate.tables[0], weight)
     assert search.state[:, 0].tolist() == states
-    np.testing.assert_allclose(search.tree.cost[: search.tree.size], costs, rtol=1e-12)
+    np.testing.assert_allclose(search.costs, costs, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(problem
     lattices, (first, *_, last) = search.joint.lattices, search.branch
     assert [(each.start, each.goal) for each in lattices] == list(zip(first, last, strict=True))
     report = validate(problem, search.joint.configurations(search.branch))
-    assert report.valid and report.cost == pytest.approx(search.tree.cost[search.found])
+    assert report.valid and report.cost == pytest.approx(search.costs[search.found])
     least = sum(nx.dijkstra_path_length(graph_of(each), each.start, each.goal, "cost") for each in lattices)
     assert report.cost >= least - 1e-9
 
@@ -184,9 +184,9 @@ def test_claimed_cells():
         (
             {"max_memory": 400_000},
             Status.MEMORY_LIMIT,
-            lambda search: search.budget.memory >= 400_000 and 1 < search.tree.size < 1000,
+            lambda search: search.budget.memory >= 400_000 and 1 < len(search.states) < 1000,
         ),
-        ({"seconds": 0.0}, Status.TIME_LIMIT, lambda search: search.tree.size == 1),
+        ({"seconds": 0.0}, Status.TIME_LIMIT, lambda search: len(search.states) == 1),
     ],
 )
 def test_limits(limit, status, is_at_it):
@@ -199,7 +199,7 @@ def test_memory_counts_what_is_kept_and_forgets_what_is_used_up():
     search.goal = np.full(2, -1)
     assert run_on(search) is Status.EXHAUSTED
     of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.most_products
-    per_node = of_nodes / (search.tree.size - 1)
+    per_node = of_nodes / (len(search.states) - 1)
     assert per_node == int(per_node) and per_node > 100, "only nodes are left"
 
 
@@ -214,15 +214,3 @@ def test_a_paused_search_goes_on_where_it_was():
     assert status is Status.SOLVED and pauses > 2
     np.testing.assert_array_equal(paused.state, whole.state)
     np.testing.assert_array_equal(paused.branch, whole.branch)
-
-
-# The tree
-
-
-def test_a_tree_grows_and_keeps_its_branches():
-    tree = SearchTree.of(np.array([7, 8]))
-    for node in range(1, 3000):
-        assert tree.add(np.array([node, -node]), float(node), node // 2) == node
-    assert tree.size == 3000
-    assert tree.branch(2999)[1:].tolist() == [[n, -n] for n in (1, 2, 5, 11, 23, 46, 93, 187, 374, 749, 1499, 2999)]
-    assert tree.branch(0).tolist() == [[7, 8]] and tree.cost[2999] == 2999.0

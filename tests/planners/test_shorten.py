@@ -1,6 +1,6 @@
-"""Paths made shorter by straight shortcuts."""
+"""Paths made shorter: over straight shortcuts, and as the cheapest motions within corridors."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -9,27 +9,36 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_of, search_budget
 
-from plr_jax import BLOptions, DiscRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners.best_first import BestFirstSearch
-from plr_jax.planners.shorten import shorten
+from plr_jax.planners.shorten import _cheapest, shorten, shorten_in_corridors
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
+POINT = Problem(ROOM, [PointRobot()], [(1, 5)], [(9, 5)])
 BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])
 
 
-def over_shortcuts(problem, path, deadline=np.inf):
+def checked(problem, path, shorten, *options, deadline=np.inf):
     """What becomes of a path, which is left alone: as many rows, a valid path of the same ends, never costlier."""
     before = np.array(path, dtype=float)
     path = before.copy()
-    short = shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline))
+    short = shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline), *options)
     np.testing.assert_array_equal(path, before)
     report = validate(problem, short)
     assert report.valid, report.message
     assert short.shape == path.shape and report.cost <= path_cost(problem, path) * (1 + 1e-12)
     np.testing.assert_array_equal(short[[0, -1]], path[[0, -1]])
     return short
+
+
+def over_shortcuts(problem, path, **options):
+    return checked(problem, path, shorten, **options)
+
+
+def in_corridors(problem, path, width=0.2, **options):
+    return checked(problem, path, shorten_in_corridors, width, **options)
 
 
 def straight(problem, steps):
@@ -63,17 +72,19 @@ def test_paths_of_the_search_become_cheaper_and_stay_valid(problem, step):
     while search.run(100_000) is None:
         pass
     path = joint.configurations(search.branch)
-    assert path_cost(problem, over_shortcuts(problem, path)) < path_cost(problem, path)
+    for shortened in (over_shortcuts, in_corridors):
+        assert path_cost(problem, shortened(problem, path)) < path_cost(problem, path)
 
 
-def test_past_the_deadline_and_of_one_or_two_rows_a_path_stays():
+@pytest.mark.parametrize("shortened", [over_shortcuts, in_corridors])
+def test_past_the_deadline_and_of_one_or_two_rows_a_path_stays(shortened):
     path = zigzag(ALONE, 9, 0.5)
-    np.testing.assert_array_equal(over_shortcuts(ALONE, path, deadline=-1.0), path)
-    assert (over_shortcuts(ALONE, path, deadline=1e12) != path).any()
+    np.testing.assert_array_equal(shortened(ALONE, path, deadline=-1.0), path)
+    assert (shortened(ALONE, path, deadline=1e12) != path).any()
     still = Problem(ROOM, ALONE.robots, ALONE.starts, ALONE.starts)
     for problem, steps in ((still, 1), (ALONE, 2)):
         path = np.stack([problem.starts, problem.goals])[:steps]
-        np.testing.assert_array_equal(over_shortcuts(problem, path), path)
+        np.testing.assert_array_equal(shortened(problem, path), path)
 
 
 @pytest.mark.parametrize("problem", [ALONE, BAR, MIXED], ids=["disc", "bar", "mixed"])
@@ -147,3 +158,48 @@ def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
     problem = Problem(workspace, robots, path[0], path[-1])
     assert validate(problem, path).valid
     over_shortcuts(problem, path)
+
+
+# Corridors
+
+
+def test_a_zigzag_of_one_robot_becomes_straight():
+    np.testing.assert_allclose(path_cost(POINT, in_corridors(POINT, zigzag(POINT, 17, 0.4))), 8, rtol=2e-3)
+
+
+def test_two_robots_that_touch_share_the_way_around_one_another():
+    """One goes straight and the other around it: neither gains by moving alone, both together do."""
+    problem = Problem(ROOM, [DiscRobot(0.5)] * 2, [(1, 5), (9, 5)], [(9, 5), (1, 5)])
+    x, steps = np.linspace(1, 9, 21), 21
+    around = 5 + 1.02 * np.clip(2 - np.abs(x - 5) / 1.5, 0, 1)
+    path = np.stack([np.stack([x, np.full(steps, 5.0)], 1), np.stack([x[::-1], around[::-1]], 1)], axis=1)
+    assert validate(problem, path).valid
+    result = in_corridors(problem, path)
+    middle = result[9:12, :, 1] - 5
+    assert middle[:, 0].min() < -0.2 and middle[:, 1].max() < 0.8
+    # The least there is: each passes the other's side by a radius, along tangents.
+    least = 4 * np.hypot(4, 0.5)
+    assert path_cost(problem, result) < path_cost(problem, path) - 0.3
+    assert least - 1e-9 <= path_cost(problem, result) <= 1.005 * least
+
+
+def test_a_rectangle_turns_back_a_turn_that_leads_nowhere():
+    problem = Problem(ROOM, [RectangleRobot(1, 0.5)], [(2, 5, 0)], [(8, 5, 0)])
+    path = straight(problem, 13)
+    path[1:-1, 0, 2] = 0.3
+    assert path_cost(problem, path) > 6.3
+    np.testing.assert_allclose(path_cost(problem, in_corridors(problem, path, width=0.1)), 6, rtol=2e-2)
+
+
+def test_the_cheapest_sequence_is_that_of_a_brute_force():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        cost = rng.uniform(size=(4, 3, 3))
+        cost[rng.uniform(size=cost.shape) < 0.3] = np.inf
+        cost[:, 0, 0] = 2.0
+        places = _cheapest(cost)
+        assert places[0] == places[-1] == 0
+        every = [(0, *inner, 0) for inner in product(range(3), repeat=3)]
+        costs = [sum(cost[t, s[t], s[t + 1]] for t in range(4)) for s in every]
+        found = sum(cost[t, places[t], places[t + 1]] for t in range(4))
+        assert found == min(costs)
