@@ -26,8 +26,8 @@ from plr_jax import (
     scenes,
     solve_eikonal,
 )
-from plr_jax.geometry.corners import find_corners
 from plr_jax._descend import DescentStatus, PathCosts
+from plr_jax.geometry.corners import find_corners
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 TEN = ((0, 0), (10, 10))
