@@ -17,7 +17,7 @@ LAYERS = [
     ["oracles", "plr", "planners", "spaces", "traced"],
     ["pairs"],
     ["_io"],
-    ["optimize", "_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
+    ["_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
     ["cli"],
     ["__main__"],
 ]
