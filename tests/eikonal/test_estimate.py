@@ -40,6 +40,7 @@ def test_where_nothing_is_in_the_way_straight_motions_are_best(domain, blocks):
     assert np.abs(found - truth).mean() < 3e-4 * truth.mean()
 
 
+@pytest.mark.full
 def test_costs_that_rise_evenly_are_met_the_better_the_finer_the_grid():
     """The speed is linear, so that paths are arcs."""
     space, goal, rise = BoxSpace(Box((0, 0), (1, 2))), np.array([0.3, 0.6]), 3.0
@@ -79,6 +80,7 @@ def test_ways_lead_to_the_goal():
     assert np.abs(last - goal).max() < 0.05
 
 
+@pytest.mark.full
 def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
     """Walls as high as the domain, with a window: the distance is that of the plane and the height, by Pythagoras."""
     walls = [[(0.5, 0.0), (0.53, 0.375)], [(0.5, 0.625), (0.53, 1.0)]]
@@ -92,6 +94,7 @@ def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
     assert np.abs(estimate(x) - truth).mean() < 0.03 * truth.mean()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("jump", [3.0, 20.0])
 def test_where_costs_jump_nothing_is_below_what_is_possible(jump):
     """Across a border of two halves by Snell's law; no way is shorter than the straight one at the lower cost."""

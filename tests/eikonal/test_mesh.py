@@ -278,6 +278,7 @@ def parted_places(is_open):
     return found
 
 
+@pytest.mark.full
 def test_no_place_in_space_is_parted_any_more_and_where_none_was_nothing_changes():
     num_opened = 0
     for bits in itertools.product([False, True], repeat=8):

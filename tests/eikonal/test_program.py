@@ -203,6 +203,7 @@ def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
     assert crossed.any() and (likely.state[crossed] == CellState.BLOCKED).all()
 
 
+@pytest.mark.full
 def test_cells_are_likely_free_where_motions_pass_beside_what_is_in_them():
     places = [np.array(place) for place in itertools.product(np.arange(7) / 8 + 0.03, repeat=2)]
     corners = np.array([(0, 0), (0.02, 0), (0.02, 0.02), (0, 0.02)])

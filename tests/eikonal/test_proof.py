@@ -47,6 +47,7 @@ for gap in (1e-3, 1e-5):
     PLACES[f"a gap of {gap}"] = rooms, (0.3, 0.4), 400, None, 0.3
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("workspace", "goal", "max_leaves", "max_bytes", "known"), PLACES.values(), ids=PLACES)
 def test_bounds_hold_the_exact_distance_without_warnings(workspace, goal, max_leaves, max_bytes, known):
@@ -76,6 +77,7 @@ def test_rooms_that_are_cut_off_answer_inf_or_borrow(max_bytes):
     assert (max_bytes or np.isinf(answers[0])) and np.isfinite(answers[1:]).all()
 
 
+@pytest.mark.full
 def test_bounds_hold_for_discs():
     problem, radius = scenes.single_door(), 0.4
     space, goal = PlaneSpace(problem.workspace, DiscRobot(radius)), problem.goals[0, :2]
@@ -150,6 +152,7 @@ def test_costs_of_blocks_of_axes_add_up():
     np.testing.assert_allclose(plr(x), distance, atol=0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("level", [0.5, 0.37])
 def test_bounds_hold_where_paths_are_refracted(level):
     """Fermat's principle, by trying where to cross; the goal is below the level, along which one may also run."""
@@ -175,6 +178,7 @@ def test_bounds_hold_beside_cells_where_they_are_tight():
         assert np.mean(upper - lower) < 0.1
 
 
+@pytest.mark.full
 def test_bounds_hold_for_a_body_that_turns():
     workspace = Workspace(((0, 0), (4, 3)), [rectangle(1.8, 0, 2.0, 1.1), rectangle(1.8, 2.0, 2.0, 3)])
     space = RigidBodySpace(workspace, RectangleRobot(1.0, 0.4))

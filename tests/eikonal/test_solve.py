@@ -56,6 +56,7 @@ def test_of_a_space_that_only_tests_nothing_is_proven():
         plr.bounds(x)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("space", [PlaneSpace(ROOM), FreeOnly(PlaneSpace(ROOM))])
 def test_estimates_alone_are_near_and_nothing_is_proven_of_them(space):
     plr = solve_eikonal(space, GOAL, max_leaves=4_096, certified=False)
@@ -82,6 +83,7 @@ def test_an_estimate_of_a_goal_that_no_node_sees_is_refused():
         solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.57, 0.35), max_leaves=16, certified=False)
 
 
+@pytest.mark.full
 def test_where_costs_vary_the_estimate_is_far_nearer_than_the_bounds():
     """The speed is linear, so that paths are arcs."""
     speed = lambda q: 0.5 + 3 * q[:, 1]  # noqa: E731
@@ -130,6 +132,7 @@ def test_a_tolerance_ends_it_early():
     assert 4 <= few.num_leaves < more.num_leaves < 1500
 
 
+@pytest.mark.full
 def test_more_leaves_are_closer_to_the_truth(plr):
     plrs = [solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=max_leaves) for max_leaves in (50, 800)]
     x = ROOM.sample_free(4000, 0)
@@ -145,14 +148,6 @@ def test_interrupts_keep_what_there_is():
     check_bounds(plr, ROOM, GOAL)
     with pytest.raises(KeyboardInterrupt):  # before there is anything
         solve_eikonal(Interrupted(PlaneSpace(ROOM), 1), GOAL, max_leaves=600)
-
-
-def test_where_a_leaf_a_cell_fits_into_the_bytes_nothing_is_fitted_anew():
-    limits = {"max_leaves": 300, "certified": False}
-    whole = solve_eikonal(PlaneSpace(ROOM), GOAL, **limits)
-    assert solve_eikonal(PlaneSpace(ROOM), GOAL, max_bytes=whole.num_bytes, **limits).to_bytes() == whole.to_bytes()
-    fitted = solve_eikonal(PlaneSpace(ROOM), GOAL, max_bytes=whole.num_bytes - 1, **limits)
-    assert fitted.num_bytes < whole.num_bytes and fitted.num_leaves != whole.num_leaves
 
 
 def test_costs_that_32_bits_do_not_hold_and_meshes_that_memory_does_not_are_refused():
@@ -228,6 +223,7 @@ def test_bad_arguments_are_refused(changed, message):
         solve_eikonal(**{"space": PlaneSpace(ROOM), "goal": GOAL} | changed)
 
 
+@pytest.mark.full
 def test_the_estimate_is_far_nearer_than_the_bounds_and_knows_walls_thinner_than_cells():
     walls = [[(x, y), (x + 0.01, y), (x + 0.01, y + 1.2), (x, y + 1.2)] for x, y in ((0.6, 0.0), (1.3, 0.3))]
     workspace, goal = Workspace(((0, 0), (2, 1.5)), walls), np.array([1.9, 0.2])

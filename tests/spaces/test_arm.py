@@ -51,11 +51,6 @@ def random_arm(seed, joints, width=0.0, self_collision=False):
     return PlanarArm(workspace, rng.uniform(1.0, 2.0, joints) / joints, base, width, self_collision)
 
 
-def test_the_shorter_way_of_a_joint_costs_its_angle():
-    arm = PlanarArm(OPEN, [2, 1], (0, 0))
-    np.testing.assert_allclose(arm.motion_cost.lengths([[3.0, 0]], [[-3.0, 0]], arm.domain), 2 * np.pi - 6)
-
-
 def test_angles_are_relative_to_the_link_before():
     arm = PlanarArm(OPEN, [2, 1], (0.5, 0))
     q = np.array([[0, 0], [np.pi / 2, 0], [np.pi / 2, -np.pi / 2], [0, np.pi]])
@@ -117,6 +112,7 @@ def test_samples_agree_with_what_is_proven(seed, joints, width, own):
         check_classification(arm, twin(arm), lo + 2 * np.pi * turns, hi + 2 * np.pi * turns, 3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("joints", "width", "own"), [(2, 0, False), (2, 0.1, False), (4, 0.1, True)])
 def test_small_boxes_are_told(joints, width, own):
     """Of boxes a thousandth of a radian wide most are free or blocked."""

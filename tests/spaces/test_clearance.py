@@ -117,6 +117,7 @@ def test_motions_along_an_obstacle_are_proven_down_to_a_thousandth_of_their_way(
         assert ClearanceSpace(((0, 0), (4, 4)), lambda q: q[:, 1], 1).are_free(q0, q1)[0] == expected
 
 
+@pytest.mark.full
 def test_an_arm_by_its_clearance_is_a_planar_arm():
     rng = np.random.default_rng(1)
     q = rng.uniform(-PI, PI, (4000, 2))
@@ -142,6 +143,7 @@ def test_an_arm_goes_the_short_way_and_counts_modulo_turns():
     assert seam.are_free([[3.0, 0]], [[-3.0, 0]])[0] and states(seam, ((3.0, 0), (3.3, 1))) == [FREE]
 
 
+@pytest.mark.full
 def test_costs_of_an_arm_agree_with_those_of_a_planar_arm():
     goal = (PI / 2 + 1, 0.0)
     ours, theirs = (solve_eikonal(space, goal, max_leaves=400) for space in (ARM, WITHIN))
@@ -167,6 +169,7 @@ def around_a_sphere(x, goal, center, radius):
     return np.where(angle > 0, tangents + radius * angle, np.linalg.norm(x - goal, axis=1))
 
 
+@pytest.mark.full
 def test_bounds_of_a_drone_hold_the_exact_length_around_a_sphere():
     center, goal = np.array([2, 2, 1.5]), np.array([0.4, 1.9, 1.4])
     space = ClearanceSpace(HALL, lambda q: np.linalg.norm(q - center, axis=1) - 0.8, 1)
@@ -178,17 +181,6 @@ def test_bounds_of_a_drone_hold_the_exact_length_around_a_sphere():
     assert (distance > np.linalg.norm(x - goal, axis=1) + 1e-9).mean() > 0.1
     assert (lower <= distance + 1e-6).all() and (distance <= upper + 1e-6).all()
     assert (lower > 0.5 * distance).mean() > 0.7 and np.isfinite(upper).mean() > 0.2
-
-
-def test_a_drone_among_spheres_flies_straight_where_it_sees_the_goal():
-    goal = np.array([0.5, 3.5, 0.5])
-    plr = solve_eikonal(DRONE, goal, max_leaves=300)
-    x = HALL.lo + np.random.default_rng(4).random((4000, 3)) * HALL.width
-    x = x[DRONE.is_free(x)]
-    straight, sees = np.linalg.norm(x - goal, axis=1), keep_off_spheres(x, np.broadcast_to(goal, x.shape))
-    lower, upper = map(np.asarray, plr.bounds(x))
-    assert (lower[sees] <= straight[sees] + 1e-6).all() and (upper >= straight - 1e-6).all()
-    assert np.isfinite(plr(x)).all() and 0.5 < sees.mean() < 1
 
 
 def test_clearances_in_32_bits_prove_no_more_than_they_know():

@@ -53,12 +53,6 @@ def test_boxes_drawn_by_hand(space, boxes, expected):
     assert states(space, *boxes) == [expected] * len(boxes)
 
 
-def test_gaps_and_thin_walls_on_the_way():
-    assert space_of(DISC, (1, 0, 2, 1.25), (1, 1.75, 2, 3)).are_free([[0.5, 1.5]], [[2.5, 1.5]])[0]
-    assert not space_of(DISC, (1, 0, 2, 1.4), (1, 1.8, 2, 3)).is_free([[1.5, 1.6]])[0]
-    assert not space_of(POINT, (2, 0, 2 + 1e-7, 3)).are_free([[1.5, 1.5]], [[2.5, 1.5]])[0]
-
-
 @pytest.mark.parametrize("robot", [POINT, DiscRobot(0.2)])
 @pytest.mark.parametrize("seed", range(2))
 def test_samples_agree_with_what_is_proven(seed, robot):

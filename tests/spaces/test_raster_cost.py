@@ -5,8 +5,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from plr_jax import Box, GridField, PlaneSpace, RasterCost, RigidBodySpace, Workspace, solve_eikonal
-from plr_jax.robots.robot import RectangleRobot
+from plr_jax import Box, GridField, PlaneSpace, RasterCost, Workspace, solve_eikonal
 from plr_jax.spaces import CostMap
 from plr_jax.spaces._raster_cost import SparseTable
 
@@ -200,6 +199,7 @@ def test_the_space_is_that_of_the_cells_that_are_not_blocked(shape):
     assert not (clear & ~cost.space().is_free(x)).any() and clear.any() and not clear.all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("interpolation", "most_gap"), [("bilinear", 0.2), ("nearest", 0.4)])
 def test_bounds_of_the_solver_hold_the_cost_across_stripes(interpolation, most_gap):
     """Straight across stripes, which are horizontal, no path is cheaper than the straight one."""
@@ -214,6 +214,7 @@ def test_bounds_of_the_solver_hold_the_cost_across_stripes(interpolation, most_g
     assert (upper - lower)[-1] < most_gap * along[-1]
 
 
+@pytest.mark.full
 def test_bounds_of_the_solver_hold_what_a_fast_march_finds_among_walls():
     skfmm = pytest.importorskip("skfmm")
     free = np.ones((32, 32), bool)
@@ -237,10 +238,83 @@ def test_bounds_of_the_solver_hold_what_a_fast_march_finds_among_walls():
     assert np.mean(lower / march) > 0.6
 
 
-def test_a_raster_in_the_plane_serves_a_body_with_a_heading():
-    cost = RasterCost(np.linspace(1, 2, 24).reshape(4, 6), ((0, 0), (6, 4)))
-    space = RigidBodySpace(Workspace(((0, 0), (6, 4))), RectangleRobot(1.0, 0.5), rotation_weight=0.3)
-    plr = solve_eikonal(space, (1, 1, 0), cost_map=cost, max_leaves=200)
-    lower, upper = plr.bounds(np.array([[5.0, 3.0, 0.5]]))
-    length = np.hypot(4, 2) + 0.15
-    assert 0 < lower[0] <= 2 * length and upper[0] >= length
+# --- cost maps of robots, and their inflation ---------------------------------------------------------
+
+
+STRIP = ((0.0, 0.0), (8.0, 1.0))
+
+
+def test_bytes_of_a_cost_map_cost_as_smac_has_it():
+    values = np.array([[0, 1, 126, 252, 253, 254, 255, 63]], np.uint8)
+    cost = RasterCost.from_costmap(values, STRIP)
+    np.testing.assert_array_equal(cost.free, [[1, 1, 1, 1, 0, 0, 0, 1]])
+    np.testing.assert_allclose(cost.values[cost.free], [1, 1 + 2 / 252, 2, 3, 1.5])
+    known = RasterCost.from_costmap(values, STRIP, unknown_is_free=True, interpolation="nearest")
+    np.testing.assert_array_equal(known.free, [[1, 1, 1, 1, 0, 0, 1, 1]])
+    assert known.values[0, 6] == 3 and known.interpolation == "nearest"
+    navfn = RasterCost.from_costmap(values, STRIP, cost_travel_multiplier=252 * 0.8 / 50)
+    np.testing.assert_allclose(50 * navfn.values[0, :4], 50 + 0.8 * values[0, :4])
+
+
+def test_an_occupancy_grid_has_the_costs_that_it_was_published_of():
+    costs = np.arange(256)
+    published = np.where(costs == 0, 0, 1 + 97 * (costs - 1) // 251)  # as Costmap2DPublisher rounds them
+    published[253:] = 99, 100, -1
+    bounds = ((0, 0), (256, 1))
+    grid = RasterCost.from_occupancy_grid(published.astype(np.int8)[None], bounds)
+    of_bytes = RasterCost.from_costmap(costs[None], bounds)
+    np.testing.assert_array_equal(grid.free, of_bytes.free)
+    np.testing.assert_allclose(grid.values[0, :253], of_bytes.values[0, :253], atol=2 * 2.6 / 252)
+    np.testing.assert_array_equal(grid.values[0, [0, 1, 252]], of_bytes.values[0, [0, 1, 252]])
+    assert RasterCost.from_occupancy_grid([[-1]], ((0, 0), (1, 1)), unknown_is_free=True).values == 3
+
+
+def test_inflation_falls_as_the_layer_of_nav2_has_it():
+    free = np.ones((41, 41), bool)
+    free[20, 20] = False
+    plain = RasterCost(np.where(free, 1.0, np.inf), ((0, 0), (4.1, 4.1)))
+    cost = plain.inflated(0.25, inflation_radius=1.0, cost_scaling_factor=3.0, cost_travel_multiplier=4.0)
+    rows, columns = np.indices(free.shape)
+    distance = 0.1 * np.hypot(rows - 20, columns - 20)
+    np.testing.assert_array_equal(cost.free, distance > 0.25)
+    expected = np.where(distance <= 1.0, 1 + 4 * np.exp(-3 * (distance - 0.25)), 1.0)
+    on_rim = np.abs(distance - 1.0) < 1e-9
+    np.testing.assert_allclose(cost.values[cost.free & ~on_rim], expected[cost.free & ~on_rim])
+
+
+def test_inflation_raises_costs_and_lowers_none():
+    values = np.array([[np.inf, 1, 1, 2.9, 1, 1]])
+    cost = RasterCost(values, ((0, 0), (6, 1))).inflated(0, inflation_radius=3, cost_scaling_factor=1.0)
+    np.testing.assert_allclose(cost.values, [[np.inf, 1 + 2 / np.e, 1 + 2 / np.e**2, 2.9, 1, 1]])
+    assert RasterCost([[1.0, 2.0]], ((0, 0), (2, 1))).inflated(9).free.all()
+
+
+def test_pixels_need_not_be_square():
+    values = np.ones((5, 5))
+    values[2, 2] = np.inf
+    cost = RasterCost(values, ((0, 0), (5, 10))).inflated(1.0)
+    np.testing.assert_array_equal(~cost.free, [[0] * 5, [0] * 5, [0, 1, 1, 1, 0], [0] * 5, [0] * 5])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: RasterCost.from_costmap([[-1]], STRIP), "from 0 to 255, .* use from_occupancy_grid, got -1.0"),
+        (lambda: RasterCost.from_costmap([[256]], STRIP), "got 256.0"),
+        (lambda: RasterCost.from_costmap([[np.nan]], STRIP), "got nan"),
+        (lambda: RasterCost.from_costmap([["x"]], STRIP), "values must be numbers from 0 to 255"),
+        (lambda: RasterCost.from_occupancy_grid([[101]], STRIP), "from -1 to 100, .* use from_costmap, got 101.0"),
+        (lambda: RasterCost.from_costmap([[254]], STRIP), "leave a cell that is not blocked"),
+        (lambda: RasterCost.from_costmap([[0]], STRIP, cost_travel_multiplier=-1), "cost_travel_multiplier must"),
+        (lambda: RasterCost.from_costmap([[0]], STRIP, unknown_is_free=1), "unknown_is_free must be True or False"),
+        (lambda: RasterCost([[1.0, np.inf]], STRIP).inflated(9), "leave a cell that is not blocked"),
+        (lambda: RasterCost([[1.0]], STRIP).inflated(-1), "inscribed_radius must"),
+        (lambda: RasterCost([[1.0]], STRIP).inflated(1, inflation_radius=np.inf), "inflation_radius must"),
+        (lambda: RasterCost([[1.0]], STRIP).inflated(1, cost_scaling_factor="x"), "cost_scaling_factor must"),
+    ],
+    ids=range(12),
+)
+@pytest.mark.usefixtures("unchecked_types")
+def test_what_is_no_cost_map_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -86,6 +86,7 @@ def test_samples_agree_with_what_is_proven(body):
     assert set(state) == set(CellState)
 
 
+@pytest.mark.full
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from(sorted(BODIES)))
 def test_random_boxes_beside_walls(seed, body):
@@ -97,6 +98,7 @@ def test_random_boxes_beside_walls(seed, body):
     check_classification(RigidBodySpace(workspace, robot), twin(workspace, robot), center - half, center + half, 4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("body", BODIES)
 def test_small_boxes_are_told(body):
     """Of boxes a thousandth wide most are free or blocked, and none is blocked the center of which is free."""

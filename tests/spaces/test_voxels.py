@@ -189,16 +189,6 @@ def test_faces_are_where_cells_have_them_whatever_the_sides():
         np.testing.assert_array_equal(space.classify(*cells.boxes(space.domain)), of_units)
 
 
-def test_the_order_in_memory_makes_no_difference():
-    rng = np.random.default_rng(5)
-    free = rng.random((7, 4, 5)) < 0.7
-    rows, columns = VoxelSpace(free), VoxelSpace(np.asfortranarray(free))
-    lo, hi = random_boxes(rng, rows.domain, 200)
-    np.testing.assert_array_equal(rows.is_free(lo), columns.is_free(lo))
-    np.testing.assert_array_equal(rows.classify(lo, hi), columns.classify(lo, hi))
-    np.testing.assert_array_equal(rows.are_free(lo, hi), columns.are_free(lo, hi))
-
-
 def test_what_is_not_finite_or_outside_is_not_free():
     space = VoxelSpace(np.ones((2, 2), bool))
     q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [2, 2], [1e300, 0]])
@@ -209,6 +199,7 @@ def test_what_is_not_finite_or_outside_is_not_free():
         assert states(space, (2, 0, 3, 1), (-3, -3, 5, 5), (1.5, 0, 2.5, 1)) == [BLOCKED, MIXED, MIXED]
 
 
+@pytest.mark.full
 def test_boxes_are_seen_from_where_all_their_free_samples_are():
     rng = np.random.default_rng(0)
     counts = np.zeros(2, int)
@@ -230,6 +221,7 @@ def test_boxes_are_seen_from_where_all_their_free_samples_are():
     assert not VoxelSpace(np.ones((2, 2), bool), radius=0.1).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
 
 
+@pytest.mark.full
 def test_bounds_of_a_volume_hold_the_lengths_of_paths():
     free = np.ones((8, 8, 4), bool)
     free[3] = free[:, 4] = False

@@ -48,6 +48,7 @@ def test_pairs_equal_it_as_well_both_ways_round(exact):
     np.testing.assert_allclose(ours, np.stack([there, there], axis=1), atol=1e-5)
 
 
+@pytest.mark.full
 def test_a_grid_whose_corners_have_fewer_places_equals_it_too():
     free, goals = random_levels(4, levels=4, size=18)
     x = random_points(5, levels=4, size=18)
@@ -91,6 +92,7 @@ def in_doubles():
         yield
 
 
+@pytest.mark.full
 def test_gradients_are_differences(in_doubles):
     """But where paths are about to change: there differences on both sides differ."""
     step, spread = 1e-5, np.random.default_rng(8).uniform(0.05, 0.95, (2, len(FREE), 2))
