@@ -51,7 +51,7 @@ class FunctionSpace:
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
         """Maps degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
-        return csr_array(_interpolation(self.degree, cell, t, self.values.shape[0]) @ self.values)
+        return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
         """Maps degrees of freedom to control values of each partial derivative over the mesh's open cells.
