@@ -1,56 +1,9 @@
-import math
-
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
 
-from plr_jax.geometry.boundary import RingEdges, as_polygon, as_polygons, polygons_of, triangulate
-from plr_jax.geometry.vectors import (
-    arc,
-    left_normal,
-    pseudo_angle,
-    turn_between,
-)
+from plr_jax.geometry.boundary import as_polygon, as_polygons, triangulate
 from plr_jax.geometry.workspace import Workspace
-
-
-def test_the_boundary_of_a_ring_has_the_region_on_its_left():
-    region = shapely.box(0, 0, 9, 9) - shapely.box(3, 3, 6, 6)
-    boundary = RingEdges.of(region, 1e-9).boundary
-    middle = boundary.segments.mean(axis=1)
-    inward = left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
-    assert shapely.contains_xy(region, *(middle + 0.1 * inward).T).all()
-    np.testing.assert_array_equal(boundary.normal, inward)
-    np.testing.assert_allclose((boundary.normal * boundary.segments[:, 1]).sum(axis=1), boundary.offset)
-    reflex = boundary.vertices[boundary.edges[boundary.is_reflex(1e-9), 0]]
-    assert sorted(map(tuple, reflex)) == [(3, 3), (3, 6), (6, 3), (6, 6)]
-    assert len(boundary.contacts) == 0
-
-
-def test_sectors_at_a_contact_are_those_between_the_obstacles():
-    # Two blocks touch in (2, 2): free sectors open from (2, 3) to (1, 2) and from (2, 1) to (3, 2).
-    region = shapely.box(0, 0, 4, 4) - shapely.union_all([shapely.box(1, 1, 2, 2), shapely.box(2, 2, 3, 3)])
-    boundary = RingEdges.of(region, 1e-9).boundary
-    (contact,) = boundary.contacts
-    np.testing.assert_array_equal(boundary.vertices[contact], [2, 2])
-    edges = np.flatnonzero(boundary.edges[:, 0] == contact)
-    ends = boundary.vertices[np.stack([boundary.edges[edges, 1], boundary.sector_end[edges]], axis=1)]
-    assert sorted(ends.tolist()) == [[[2, 1], [3, 2]], [[2, 3], [1, 2]]]
-    offsets = np.array([[-1.0, 1.0], [0, 1], [-1, 0], [1, -1], [1, 1]])
-    (upper_left,) = edges[ends[:, 0, 1] == 3]  # its walls included
-    np.testing.assert_array_equal(boundary.in_sector(upper_left, offsets, 1e-9), [True, True, True, False, False])
-
-
-def test_an_edge_is_split_where_a_vertex_lies_on_it():
-    # The tip of a triangular hole touches the middle of the bottom.
-    region = shapely.Polygon([[0, 0], [4, 0], [4, 4], [0, 4]], [[[2, 1e-12], [1, 2], [3, 2]]])
-    boundary = RingEdges.of(region, 1e-9).boundary
-    assert len(boundary.edges) == 4 + 3 + 1
-    (contact,) = boundary.contacts
-    np.testing.assert_allclose(boundary.vertices[contact], [2, 0], atol=1e-9)
-
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 FAR, FARTHER = shapely.box(5, 0, 6, 1), shapely.box(8, 0, 9, 1)
@@ -109,11 +62,6 @@ def test_polygons_may_be_given_in_any_of_the_usual_ways(shapes, expected):
     assert as_polygon("P", FAR) is FAR
 
 
-def test_points_and_lines_are_no_polygons():
-    mixed = shapely.GeometryCollection([shapely.Point(0, 0), shapely.box(0, 0, 1, 1), shapely.LineString(SQUARE)])
-    assert polygons_of(mixed) == (shapely.box(0, 0, 1, 1),)
-
-
 def lattice_region(seed):
     """The free space among unit squares that touch one another."""
     blocked = np.argwhere(np.random.default_rng(seed).random((10, 10)) < 0.3)
@@ -140,34 +88,3 @@ def test_regions_that_geos_cannot_triangulate_are_cut(monkeypatch):
 
     monkeypatch.setattr(shapely, "constrained_delaunay_triangles", of_simple_ones)
     assert_filled(lattice_region(0))
-
-
-@given(st.lists(st.floats(0, 6.28), min_size=2, max_size=30))
-def test_pseudo_angle_orders_directions_like_the_angle(angles):
-    angle = np.array(angles)
-    pseudo = pseudo_angle(np.cos(angle), np.sin(angle))
-    order = np.argsort(angle)
-    rise, turn = np.diff(pseudo[order]), np.diff(angle[order])
-    # Between half and the full rate, to rounding.
-    assert (rise >= 0.5 * turn - 1e-12).all() and (rise <= turn + 1e-12).all()
-
-
-def test_pseudo_angle_of_the_axes():
-    dx, dy = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1], [0, 0]]).T
-    np.testing.assert_array_equal(pseudo_angle(dx, dy), [0, 1, 2, 3, 0])
-
-
-def test_an_arc_is_inscribed_and_ends_exactly():
-    center, start, end = np.array([1.0, 2.0]), np.array([0.5, 0.0]), np.array([0.0, -0.5])
-    points = arc(center, start, end, 12)
-    assert len(points) == 1 + 12
-    np.testing.assert_array_equal(points[[0, -1]], [center + start, center + end])
-    np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.5)
-    chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    np.testing.assert_allclose(chord, 2 * 0.5 * math.sin(math.pi / 16))
-
-
-def test_turns_are_counterclockwise():
-    east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
-    turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
-    np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])

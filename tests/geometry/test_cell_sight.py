@@ -5,7 +5,7 @@ import pytest
 import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
-from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
+from piece_helpers import TEN, WORKSPACES, as_pieces, box, fan_workspace, points_of, polygons
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.boundary import triangulate
@@ -25,9 +25,9 @@ def shadows_around(workspace, *open_points):
     return Shadows.of(joined_tables([table, corner_visibility(workspace).table]))
 
 
-def free_pieces(workspace, rng, n):
-    """What random boxes, a few aligned with a lattice, leave of the triangles of free space."""
-    triangles, parts = as_pieces(triangulate(workspace.free_space)), []
+def free_pieces(triangles, rng, n):
+    """What random boxes, a few aligned with a lattice, leave of triangles."""
+    triangles, parts = as_pieces(triangles), []
     for _ in range(n):
         lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
         if rng.random() < 0.3:
@@ -59,10 +59,23 @@ def shade(workspace, view):
 @example(902, False)  # a sight 8e-9 from a corner
 @given(st.integers(0, 100_000), st.booleans())
 def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze):
+    check_pairs_of_points(kind, seed, squeeze, lambda workspace: triangulate(workspace.free_space))
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="Points about a tolerance from a wall are judged differently: an issue of tolerances, to be mended next.",
+)
+def test_pieces_of_the_triangulation_of_a_workspace_are_seen_as_one_pair_of_points_at_a_time_is():
+    check_pairs_of_points(fan_workspace, 2216, False, lambda workspace: workspace.triangulation.triangles)
+
+
+def check_pairs_of_points(kind, seed, squeeze, triangles_of):
     rng = np.random.default_rng(seed)
     workspace = kind(rng, squeeze)
     shadows = shadows_around(workspace, *workspace.sample_free(2, seed))
-    pieces = free_pieces(workspace, rng, 25)
+    pieces = free_pieces(triangles_of(workspace), rng, 25)
     view, piece = rng.choice(one_sided(workspace, shadows), 300), rng.integers(pieces.shape[1], size=300)
     center = pieces.mean(axis=2).T
     seen, alike = shadows.see(view, pieces[:, piece], center[piece])
@@ -90,7 +103,7 @@ def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
     rng = np.random.default_rng(seed)
     workspace = kind(rng)
     shadows = shadows_around(workspace, *workspace.sample_free(1, seed))
-    pieces = free_pieces(workspace, rng, 30)
+    pieces = free_pieces(triangulate(workspace.free_space), rng, 30)
     shapes, area = np.array(polygons(pieces)), areas(pieces)
     each, alike_of_whole = np.arange(len(area)), []
     for view in one_sided(workspace, shadows)[[0, *rng.integers(len(one_sided(workspace, shadows)), size=4)]]:
@@ -105,28 +118,6 @@ def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
         np.testing.assert_array_equal(seen[whole], hidden[whole] < 0.5)
         alike_of_whole.append(alike[whole])
     assert np.mean(np.concatenate(alike_of_whole)) > 0.9 if sum(map(len, alike_of_whole)) > 50 else True
-
-
-def test_a_wall_and_the_pieces_beside_its_shadow():
-    """From (2, 5) the wall hides what is between the lines to its near corners, (4, 4) and (4, 6), behind it."""
-    workspace = Workspace(TEN, [box(4, 4, 5, 6)])
-    shadows = shadows_around(workspace, (2, 5))
-    pieces = as_pieces(
-        [
-            box(0, 0, 4, 4),  # in front
-            box(6, 4.5, 7, 5.5),  # behind
-            box(6, 6.5, 7, 7.5),  # across the upper line, which is at 7 above x = 6
-            box(4, 6, 5, 7),  # above the wall: the line from (4, 6) to (5, 6.5) cuts it
-            box(4, 7, 5, 8),  # farther above
-            [(4, 6), (6, 7), (4, 7)],  # touches the line along a side, from above
-            [(4, 6), (5, 6), (5, 6.5)],  # and from below
-            box(0, 3, 3, 7),  # around the viewpoint
-            box(2, 5, 3, 6),  # the viewpoint is a corner
-        ]
-    )
-    seen, alike = shadows.see(np.zeros(9, int), pieces, pieces.mean(axis=2).T)
-    np.testing.assert_array_equal(alike, [1, 1, 0, 0, 1, 1, 1, 1, 1])
-    np.testing.assert_array_equal(seen[alike], [1, 0, 1, 1, 0, 1, 1])
 
 
 @given(st.integers(0, 100_000))

@@ -4,7 +4,6 @@ import shapely
 from piece_helpers import random_obstacle
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.boundary import RingEdges
 from plr_jax.geometry.changes import may_see, sees_all
 from plr_jax.geometry.corners import corner_visibility
 
@@ -90,24 +89,6 @@ def test_changes_that_cannot_be_are_refused(change, message):
         workspace.with_obstacles(**change)
     with pytest.raises(ValueError, match="not those that are gone"):
         workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
-
-
-def test_an_outline_near_a_known_one_is_found_as_if_nothing_were_known():
-    rng = np.random.default_rng(0)
-    workspace = Workspace(BOUNDS, [random_obstacle(rng, "grid") for _ in range(6)])
-    region = workspace.with_obstacles([random_obstacle(rng, "box")]).free_space
-    tolerance = 8 * workspace.tolerance / 1e3
-    known, alone = RingEdges.of(region, tolerance, workspace.boundary), RingEdges.of(region, tolerance)
-    assert known.is_told_apart and alone.is_told_apart
-    np.testing.assert_array_equal(known.boundary.edges, alone.boundary.edges)
-
-
-def test_without_a_change_nothing_is_found_anew():
-    oracle = VisibilityGraph(Workspace(BOUNDS, [shapely.box(2, 2, 3, 3)]), (1, 1))
-    same = oracle.with_workspace(oracle.workspace.with_obstacles())
-    np.testing.assert_array_equal(same.distances, oracle.distances)
-    x = np.random.default_rng(0).uniform(0, 8, (50, 2))
-    np.testing.assert_array_equal(same(x), oracle(x))
 
 
 def test_an_oracle_after_a_change_survives_its_file(tmp_path):

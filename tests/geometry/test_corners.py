@@ -1,48 +1,15 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import TEN
 
-from plr_jax.geometry.corners import corner_visibility, find_corners
+from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 
 BLOCK = Workspace(TEN, [[(4, 0), (6, 0), (6, 8), (4, 8)]])  # stands on the bottom, its corners (4, 8) and (6, 8)
-CORNERS, VIEWS = find_corners(BLOCK)
-
-
-def test_corners_by_hand():
-    np.testing.assert_array_equal(CORNERS.points, [[4, 8], [6, 8]])
-    # A free sector opens counterclockwise: at (4, 8) from the top of the block to its left side.
-    np.testing.assert_array_equal(CORNERS.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
-    np.testing.assert_array_equal(VIEWS.points, CORNERS.points)
-    np.testing.assert_array_equal(VIEWS.opens(BLOCK.boundary), [[2, 0], [0, -8]])
-    np.testing.assert_array_equal(VIEWS.closes(BLOCK.boundary), [[0, -8], [-2, 0]])
-
-
-def test_a_workspace_without_corners():
-    corners, views = find_corners(Workspace(TEN))
-    assert corners.points.shape == views.points.shape == (0, 2) and corners.walls.shape == (2, 0, 2)
-    assert corner_visibility(Workspace(TEN)).edges.shape == (0, 2)
-
-
-@pytest.mark.parametrize("squeeze", [False, True])
-def test_a_contact_is_a_corner_that_may_be_turned_around_on_any_side_where_squeezing_is_allowed(squeeze):
-    touching = [shapely.box(1, 1, 2, 2), shapely.box(2, 2, 3, 3)]
-    corners, views = find_corners(Workspace(TEN, touching, squeeze=squeeze))
-    contact = (corners.points == [2, 2]).all(axis=1)
-    assert len(corners.points) == 6 + squeeze and contact.sum() == squeeze
-    assert (corners.walls[:, contact] == 0).all() and (corners.walls[:, ~contact] != 0).any(axis=2).all()
-    assert len(views.owner) == 6 + 2 * squeeze  # a contact looks into two sectors
-
-
-def test_the_goal_comes_first_and_takes_the_place_of_a_corner():
-    goal = np.array([4.0, 8.0])
-    assert CORNERS.without(goal).with_goal(goal).points.tolist() == [[4, 8], [6, 8]]
-    assert CORNERS.with_goal(goal).points.tolist() == [[4, 8], [4, 8], [6, 8]]
-    assert CORNERS.with_goal(goal).walls[:, 0].tolist() == [[0, 0], [0, 0]]
 
 
 def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there():
@@ -69,8 +36,22 @@ def hard_points(workspace, seed):
 
 @pytest.mark.full
 @given(st.integers(0, 100_000), st.booleans(), st.booleans())
-@settings(max_examples=40)
 def test_turn_points_by_triangle_are_as_good_as_all_of_them(seed, lattice, squeeze):
+    check_turn_points(seed, lattice, squeeze)
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="Points about a tolerance from a wall are judged differently: an issue of tolerances, to be mended next.",
+)
+def test_turn_points_by_triangle_about_a_tolerance_from_a_wall(squeeze):
+    check_turn_points(29693, True, squeeze)
+
+
+def check_turn_points(seed, lattice, squeeze):
+    """The shortest path that starts around a listed corner is as short as around any corner."""
     rng = np.random.default_rng(seed)
     cells = np.argwhere(rng.random((10, 10)) < 0.3)
     triangles = [rng.uniform(0, 10, 2) + rng.uniform(-2, 2, (3, 2)) for _ in range(8)]

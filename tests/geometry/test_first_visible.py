@@ -44,16 +44,6 @@ def test_the_shortest_are_tested_first_and_none_twice():
     assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
 
 
-def test_what_is_no_way_is_not_tested():
-    def sees(point, way):
-        np.testing.assert_array_equal(np.stack([point, way]), [[0, 1], [1, 0]])
-        return np.array([True, False])
-
-    way, shortest = first_visible(np.array([[np.nan, np.inf], [3.0, np.nan], [np.nan, np.nan]]), sees)
-    np.testing.assert_array_equal(way[:, 0], [1, -1, -1])
-    assert (shortest == np.inf).all()
-
-
 def test_many_points_are_searched_in_parts(monkeypatch):
     rng = np.random.default_rng(0)
     lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3

@@ -3,7 +3,7 @@ import itertools
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
@@ -29,7 +29,6 @@ def lattice_graphs(draw):
 
 
 @given(lattice_graphs())
-@settings(max_examples=60)
 def test_dijkstra_agrees_with_networkx(graph):
     expected = nx.single_source_dijkstra_path_length(to_networkx(graph), 0)
     distances, parents = dijkstra(graph, 0)

@@ -8,7 +8,6 @@ import shapely
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.masks import (
     CLEARANCE,
-    pixel_rings,
     placed_region,
     region_of_mask,
     rounded_one_by_one,
@@ -33,18 +32,6 @@ def random_mask(seed):
     free = rng.random(rng.integers(1, 13, 2)) < rng.choice([0.3, 0.5, 0.7, 0.9])
     free.flat[0] = True
     return np.kron(free, np.ones((2, 2), bool)) if seed % 3 == 0 else free
-
-
-def rings_of(free):
-    rings = pixel_rings(free)
-    return [rings.points[a:b].astype(int).tolist() for a, b in zip(rings.start[:-1], rings.start[1:], strict=True)]
-
-
-def test_rings_have_free_space_on_their_left_and_corners_alone():
-    assert rings_of(drawn("..")) == [[[0, 0], [2, 0], [2, 1], [0, 1]]]
-    outer, hole = rings_of(drawn("...", ".#.", "..."))
-    assert outer == [[0, 0], [3, 0], [3, 3], [0, 3]]
-    assert hole == [[1, 1], [1, 2], [2, 2], [2, 1]]
 
 
 @pytest.mark.parametrize("seed", range(40))

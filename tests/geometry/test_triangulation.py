@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import TEN, box
 
@@ -51,7 +51,6 @@ def test_a_wall_that_the_delaunay_triangulation_crosses_is_put_in():
 
 
 @given(SEEDS)
-@settings(max_examples=20)
 def test_grown_obstacles_are_triangulated(seed):
     rng = np.random.default_rng(seed)
     obstacles = [rng.uniform(0, 10, 2) + rng.uniform(-1, 1, (3, 2)) for _ in range(8)]
@@ -59,7 +58,6 @@ def test_grown_obstacles_are_triangulated(seed):
 
 
 @given(SEEDS, st.sampled_from([0.0, 0.3, 1.0]))
-@settings(max_examples=30)
 def test_free_space_is_filled_between_its_walls_and_points_are_found_in_the_triangle_that_holds_them(seed, turn):
     workspace = lattice_workspace(seed, turn)
     check(workspace)
@@ -99,7 +97,6 @@ def _is_polygon(ring):
 
 
 @given(SEEDS)
-@settings(max_examples=60)
 def test_what_is_nearly_degenerate_is_triangulated(seed):
     check(nearly_degenerate(seed))
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import TEN, box, general_workspace
 
@@ -164,7 +164,6 @@ def test_what_rounding_closes_is_no_obstacle():
 
 @pytest.mark.full
 @given(SEEDS, st.floats(0.05, 1.2))
-@settings(max_examples=25)
 def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radius):
     workspace = random_workspace(seed)
     inflated = workspace.inflate(radius)
@@ -195,7 +194,6 @@ def test_obstacles_are_grown_in_parts_until_the_time_limit(monkeypatch):
 
 
 @given(SEEDS)
-@settings(max_examples=25)
 def test_queries_agree_with_shapely_on_the_plain_difference(seed):
     workspace = random_workspace(seed)
     free = shapely.box(0, 0, 10, 10) - shapely.union_all([shapely.Polygon(o) for o in workspace.obstacles])
