@@ -12,7 +12,7 @@ from plr_jax import _arrays
 from plr_jax.collision import bodies, walls
 from plr_jax.collision import team as pairs
 from plr_jax.collision.team import JointMotionTest, motions_apart
-from plr_jax.collision.walls import MotionTest, motion_test
+from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry import workspace as workspaces
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import PolygonRobot
@@ -134,12 +134,3 @@ def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
     with pytest.raises(TimeoutError):
         bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
     assert next(clock) == 7  # six judgements were begun at most
-
-
-def test_motion_tests_are_kept_whatever_their_deadlines():
-    room = Workspace(((0, 0), (4, 4)), BLOCKS)
-    with pytest.raises(TimeoutError):
-        motion_test(room, DISC, LONG_AGO)
-    test = motion_test(room, DISC, 1e9)
-    assert motion_test(room, DISC) is test
-    assert motion_test(room, DISC, LONG_AGO) is test

@@ -3,7 +3,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
 
@@ -106,7 +106,6 @@ robot = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
 @given(robot, pose, pose, robot, pose, pose, st.floats(-3, 3))
 def test_the_order_of_the_robots_and_the_frame_do_not_matter_and_samples_refute_nothing(
     robot_a, a0, a1, robot_b, b0, b1, angle
@@ -177,7 +176,6 @@ def test_motions_meet_others_as_they_are_not_apart_from_them():
     assert 100 < collisions < 150 * len(CROWD)
 
 
-@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 4), share=st.floats(0, 1))
 def test_a_circle_holds_every_position_on_the_way(seed, k, share):
     rng = np.random.default_rng(seed)

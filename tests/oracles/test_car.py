@@ -114,16 +114,6 @@ def test_paths_end_at_the_goal_and_are_as_long_as_is_said(car, extent):
 WORDS = {"LSL", "LSR", "LRL", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR"}
 
 
-@pytest.mark.full
-def test_all_words_are_used():
-    words = WORDS | {word.translate(str.maketrans("LR", "RL")) for word in WORDS}
-    for car in CARS:
-        used = {
-            "".join(letter for letter, _ in car(GOAL, RADIUS).shortest_path(pose)) for pose in random_poses(3000, 6)
-        }
-        assert words <= used if car is ReedsShepp else used == {word for word in words if len(word) == 3}
-
-
 POSE = st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-10, 10))
 TURN = st.floats(0, 6 * RADIUS)
 
@@ -135,21 +125,6 @@ def test_no_detour_is_shorter(car, pose, letter, length):
     length = length if car is ReedsShepp else abs(length)
     direct, onward = car(GOAL, RADIUS)(np.array([pose, driven(pose, [(letter, length)])]))
     assert direct <= abs(length) + onward + 1e-7
-
-
-@given(st.permutations("LSR"), st.tuples(TURN, TURN, TURN))
-def test_no_path_driven_is_shorter(letters, lengths):
-    """Among them single turns and those of both sides, where the distance jumps."""
-    goal = driven((0.0, 0.0, 0.0), list(zip(letters, lengths, strict=True)))
-    assert Dubins(goal, RADIUS)([(0, 0, 0)])[0] <= sum(lengths) + 1e-8
-
-
-@given(POSE)
-def test_gears_and_room_to_turn_save_length_and_with_gears_there_is_as_far_as_back(pose):
-    fns = Euclidean(GOAL[:2]), ReedsShepp(GOAL, RADIUS), Dubins(GOAL, RADIUS)
-    direct, both_ways, forward = (fn([pose[: fn.dim]])[0] for fn in fns)
-    assert direct <= both_ways + 1e-9 and both_ways <= forward + 1e-7
-    np.testing.assert_allclose(both_ways, ReedsShepp(pose, RADIUS)([GOAL])[0], atol=1e-7)
 
 
 def test_it_jumps_where_a_single_turn_leads_to_the_goal():

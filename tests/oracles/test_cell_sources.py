@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
 from plr_jax import Box, VisibilityGraph, Workspace
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.oracles._cell_sources import SharedSources
 from plr_jax.plr.tree import Cells
 
 SEEDS = st.integers(0, 100_000)
@@ -150,47 +149,6 @@ def test_nothing_is_said_of_what_does_not_reach_the_goal():
     assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
 
 
-def same(a, b, cells_of_a, cells_of_b):
-    """Whether some cells of one are, piece by piece, some cells of another."""
-    p, q = (
-        np.concatenate([np.zeros(0, int), *(np.flatnonzero(x.cell == i) for i in cells)])
-        for x, cells in ((a, cells_of_a), (b, cells_of_b))
-    )
-    np.testing.assert_array_equal(a.pieces[:, p], b.pieces[:, q])
-    for name in ("center", "distance", "best"):
-        np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
-    p, q = (
-        np.concatenate([np.zeros(0, int), *(np.flatnonzero(x.piece == k) for k in pieces)])
-        for x, pieces in ((a, p), (b, q))
-    )
-    for name in ("source", "by_all"):
-        np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
-
-
-@given(SEEDS)
-def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
-    oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
-    root = oracle.cell_sources(DOMAINS[0])
-    cells, lo, _ = halved(root, DOMAINS[0], rng)
-    some = rng.integers(len(lo), size=9)
-    chosen = cells.of_cells(some)
-    assert chosen.num_cells == 9
-    check_in_order(chosen)
-    same(chosen, cells, range(9), some)
-    both = chosen.append(cells, root)
-    check_in_order(both)
-    assert both.num_cells == 9 + len(lo) + 1
-    same(both, cells, [*range(9), *range(9, 9 + len(lo))], [*some, *range(len(lo))])
-    same(both, root, [9 + len(lo)], [0])
-    rows = rng.integers(len(cells.cell), size=7)
-    alone = cells.pieces_as_cells(rows)
-    check_in_order(alone)
-    assert alone.num_cells == 7 and alone.cell.tolist() == list(range(7))
-    np.testing.assert_array_equal(alone.pieces, cells.pieces[:, rows])
-    for i, row in enumerate(rows):
-        np.testing.assert_array_equal(alone.source[alone.piece == i], cells.source[cells.piece == row])
-
-
 @given(SEEDS)
 def test_pieces_hold_points_and_sources_see_them(seed):
     oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
@@ -260,7 +218,6 @@ def check_member(oracle, found, of_cell, rng):
 
 @pytest.mark.parametrize("kind", WORKSPACES)
 @given(SEEDS)
-@settings(max_examples=4)  # each of four goals and sixteen cells
 def test_every_members_distances_are_within_the_bounds(kind, seed):
     rng = np.random.default_rng(seed)
     workspace = kind(rng)
@@ -301,21 +258,3 @@ def test_parts_that_are_alike_are_settled_once():
     np.testing.assert_array_equal(parts.pieces, alone.pieces)
     np.testing.assert_array_equal(parts.by_all, alone.by_all)
     np.testing.assert_array_equal(parts.views(parts.source), alone.views(alone.source))
-
-
-def test_cones_have_the_numbers_that_a_dictionary_would_give_them():
-    """Those that are alike have one number, for ever."""
-    points = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.25]])  # two corners, then two goals
-    rng, cones, known = np.random.default_rng(0), SharedSources(points, num_turns=4, step=0.125), {}
-    assert len(cones.sources.points) == len(cones.numbers(np.zeros(0, np.int64), np.zeros(0))) == 0
-    for _ in range(5):
-        kind, steps = rng.integers(0, 8, 40), rng.integers(0, 4, 40)
-        found = cones.numbers(kind, 0.125 * (steps + rng.uniform(-0.4, 0.4, 40)))  # nearer than half a step is alike
-        expected = [known.setdefault(each, len(known)) for each in zip(kind.tolist(), steps.tolist(), strict=True)]
-        np.testing.assert_array_equal(found, expected)
-        kinds, steps = np.array(list(known)).T
-        np.testing.assert_array_equal(cones.kind, kinds)
-        np.testing.assert_array_equal(cones.sources.points, points[kinds // 2])
-        np.testing.assert_array_equal(cones.sources.distances, 0.125 * steps)
-        np.testing.assert_array_equal(cones.view, kinds // 2)
-        np.testing.assert_array_equal(cones.turn, [kind if kind < 4 else -1 for kind in kinds])

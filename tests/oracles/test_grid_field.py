@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from plr_jax import Box, Euclidean, GridField
+from plr_jax import Box, GridField
 from plr_jax._types import DimensionedFn
 
 WIDE = Box((0, 0), (3, 2))
@@ -57,13 +57,6 @@ def test_between_centers_it_is_what_scipy_says(dim, seed):
     x = np.array([rng.uniform(along[0], along[-1], 20) for along in centers]).T
     expected = RegularGridInterpolator(centers, values)(x)
     np.testing.assert_allclose(GridField(values.T, (lo, lo + width))(x), expected, atol=1e-12)
-
-
-def test_it_is_of_the_grid_that_a_box_has():
-    oracle, x = Euclidean((0.7, 0.2)), WIDE.grid(300)
-    field = GridField(oracle(x.reshape(-1, 2)).reshape(x.shape[:2]), WIDE)
-    points = np.random.default_rng(0).random((500, 2)) * WIDE.width
-    assert np.abs(field(points) - oracle(points)).max() < 0.01
 
 
 def test_a_field_of_scikit_fmm_around_an_obstacle():

@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracle_helpers import WALL
 from piece_helpers import WORKSPACES, box
@@ -37,7 +37,6 @@ def test_straight_around_along_and_nowhere():
 
 @pytest.mark.full
 @given(st.integers(0, 100_000), st.sampled_from(WORKSPACES), st.booleans())
-@settings(max_examples=12)
 def test_pairs_are_as_far_apart_as_an_oracle_of_each_goal_says(seed, kind, squeeze):
     workspace = kind(np.random.default_rng(seed), squeeze)
     x = hard_points(workspace, seed)

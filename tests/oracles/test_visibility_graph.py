@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from oracle_helpers import WALL, length
 from piece_helpers import TEN, box, general_workspace
@@ -203,7 +203,6 @@ SEEDS, LATTICE = st.integers(0, 100_000), np.argwhere(np.ones((11, 11))).astype(
 
 @pytest.mark.parametrize("kind", [general_workspace, lattice_workspace])
 @given(SEEDS, st.booleans(), st.booleans())
-@settings(max_examples=25, deadline=None)
 def test_distances_equal_those_of_a_plain_visibility_graph_and_paths_are_as_long_and_free(kind, seed, squeeze, last):
     """Edges that no shortest path can use are left out of the graph, and only those."""
     rng = np.random.default_rng(seed)
@@ -231,7 +230,6 @@ def test_distances_equal_those_of_a_plain_visibility_graph_and_paths_are_as_long
 @example(977, True, 1.0, 0.0, 50.0)
 @example(2286, False, 0.3, -1.5, -70.0)
 @example(3223, True, 2.0, -0.5, 30.0)
-@settings(max_examples=20, deadline=None)
 def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log_scale, shift):
     """Off the axes what was collinear, or touched, is so up to rounding only."""
     workspace, scale = lattice_workspace(np.random.default_rng(seed), squeeze), 10**log_scale
@@ -254,7 +252,6 @@ def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log
 @pytest.mark.full
 @given(SEEDS, st.booleans())
 @example(30254, False)  # a free space at which GEOS fails to find triangles to draw points from
-@settings(max_examples=25, deadline=None)
 def test_contacts_are_reached_from_the_nearest_side(seed, squeeze):
     workspace = lattice_workspace(np.random.default_rng(seed), squeeze)
     contacts = workspace.boundary.vertices[workspace.boundary.contacts]
