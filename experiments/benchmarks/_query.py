@@ -182,7 +182,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 #
 # - Nodes of grids and weights of the network are float32 numbers that fill the bytes of the PLR's file.
 # - SciPy's grid and LightGBM are timed with float32 and with float64 points; ratios are to the faster.
-# - LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_trees.py``).
+# - LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_rivals.py``).
 # - The Numba loops read the PLR's own tables, on one core and on all.
 # - The floors: JAX reading the points and writing one float for each, and NumPy copying as many bytes.
 #

@@ -1,11 +1,11 @@
 """Distances between any two points: of a planar workspace, of a grid's cells, of any metric.
 
 In the plane (:func:`construct_pairs`) a cell lists the corners at which paths from it may turn first, as
-``geometry/cell_sight`` finds them. `outline` is what a file keeps of the workspace, `stored` the layout of the file,
-and a `query` reads `tables`: `near_walls` between a cell and a corner, and `occluders`, which hide most points from
-one another. After a change of the map (`updated`) lists are found anew where it matters. To `goals` that stay
-a query takes about half the time, or a fifth. On grids (:func:`construct_grid_pairs`) the same is exact, see
-``GRIDS.md``.
+``geometry/cell_sight.py`` finds them. The module `construct` builds the lists, and `stored` holds the layout of the
+file. The module `query` searches the tables in JAX; `portable` does so without JAX. The module `near_walls` finds the
+walls between a cell and a corner. After a change of the map, `updated` rebuilds only the lists that the change
+affects. :class:`PreparedGoals` store the distances of goals that are queried many times. On grids
+(:func:`construct_grid_pairs`) distances are exact: see ``GRIDS.md``.
 """
 
 import lazy_loader

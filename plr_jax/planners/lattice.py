@@ -75,7 +75,6 @@ class Ends(NamedTuple):
 
 OfKinds: TypeAlias = Sequence[Float[np.ndarray, "_ _"]]  # of each kind, a row of numbers a robot
 Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
-Edges: TypeAlias = Int[np.ndarray, "m"]
 
 
 def motions_with_ends(table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]) -> Leads:

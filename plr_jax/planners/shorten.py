@@ -64,13 +64,6 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     return traffic.path
 
 
-def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
-    """The same path with a row in the middle of every motion."""
-    finer = np.repeat(path, 2, axis=0)[:-1]
-    finer[1::2] = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
-    return finer
-
-
 def _with_shortcuts(
     problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:

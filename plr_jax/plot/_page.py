@@ -198,13 +198,6 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     )
 
 
-def _is_read_there(data: bytes) -> bool:
-    """Whether the page itself reads a file."""
-    container = Container.from_bytes(data)
-    is_plain = container.folding is None and not container.domain.is_periodic
-    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), SourcedLeafModel)
-
-
 def _module(data: bytes) -> str:
     """The reader of a file as an entry of the page's list of those."""
     plr = NumpyPLR(data)

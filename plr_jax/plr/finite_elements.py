@@ -300,31 +300,6 @@ def enclosing_planes(
     return powers[:, 0, 0], np.stack([powers[:, 1, 0], powers[:, 0, 1]], axis=1), terms.sum(axis=(1, 2))
 
 
-def on_boxes(
-    order: int,
-    lo: Float[np.ndarray, "n dim"],
-    hi: Float[np.ndarray, "n dim"],
-    numbers: Float[np.ndarray, "n terms"],
-    box_lo: Float[np.ndarray, "n dim"],
-    box_hi: Float[np.ndarray, "n dim"],
-) -> Float[np.ndarray, "n powers"]:
-    """Coefficients in the Bernstein bases of boxes of functions of cells, which they may reach out of.
-
-    Over its box a function is nowhere beyond the least and the largest of them (Farin, "Curves and surfaces for
-    CAGD", chapter 6).
-    """
-    count, dim = POWERS[order], lo.shape[1]
-    start, width = (box_lo - lo) / (hi - lo), (box_hi - box_lo) / (hi - lo)
-    to_bernstein = np.array([[math.comb(i, j) / math.comb(count - 1, j) for i in range(count)] for j in range(count)])
-    powers = numbers @ monomials(order, dim)
-    for axis in range(dim):
-        # t = start + width * s, by powers of s, and these in Bernstein's basis.
-        change = _shifted_powers(count, start[:, axis]) * width[:, axis, None, None] ** np.arange(count)
-        powers = powers.reshape(len(powers), count**axis, count, -1)
-        powers = np.einsum("napb,npq,qr->narb", powers, change, to_bernstein).reshape(len(powers), -1)
-    return powers
-
-
 def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
     """Powers of ``t`` as polynomials of ``t - center``."""
     power, of_difference = np.arange(count)[:, None], np.arange(count)

@@ -5,7 +5,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8, UInt64
+from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import mixed
 from plr_jax.geometry.box import Box
@@ -208,36 +208,3 @@ def tree_of_levels(levels: list[Level], dim: int) -> Tree:
     leaves = np.flatnonzero(child < 0)
     node_of_leaf = leaves[np.argsort(path[leaves])]
     return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))
-
-
-# The tree in preorder: every node stands before its lower half, and that before the upper one, so that all below a
-# node follows it without a gap. A node's *kind* is 0 for a leaf, else 1 more than the axis of its split.
-
-
-def preorder_of_levels(levels: list[Level]) -> tuple[UInt8[np.ndarray, "nodes"], Int[np.ndarray, "nodes"]]:
-    """Kinds of nodes, and how many nodes there are from each one down."""
-    below = [np.ones(0, np.int64)]
-    for level in levels[::-1]:
-        size = np.ones(len(level.inner), np.int64)
-        size[level.inner] += below[-1].reshape(-1, 2).sum(axis=1)
-        below.append(size)
-    kind, num_below = np.zeros(int(below[-1][0]), np.uint8), np.zeros(int(below[-1][0]), np.int64)
-    place = np.zeros(1, np.int64)
-    for level, size, halves in zip(levels, below[:0:-1], below[-2::-1], strict=True):
-        num_below[place] = size
-        place = place[level.inner]
-        kind[place] = level.axis + 1
-        place = (place[:, None] + np.stack([np.ones(len(place), np.int64), 1 + halves[::2]], axis=1)).ravel()
-    return kind, num_below
-
-
-def levels_of_preorder(kind: UInt8[np.ndarray, "nodes"]) -> list[Level]:
-    """Levels of a tree of given kinds of nodes; all of them, and no more, are to be of it."""
-    depth, open_ = np.zeros(len(kind), np.int64), [0]
-    for node, is_split in enumerate((kind > 0).tolist()):
-        depth[node] = each = open_.pop()
-        if is_split:
-            open_ += [each + 1, each + 1]
-    order = np.argsort(depth, kind="stable")
-    levels = np.split(kind[order], np.cumsum(np.bincount(depth))[:-1])
-    return [Level(each > 0, each[each > 0].astype(np.int64) - 1) for each in levels]

@@ -1,1 +1,1 @@
-"""Robots: what a body is to the rest of the library, its motions (`robot`), and the shapes there are (`shapes`)."""
+"""Robots: convex bodies, their configurations, and straight motions between configurations (`robot`)."""

@@ -101,7 +101,6 @@ _HALF_TURN = 0.5 + 1e-10  # of a full turn: what headings as large as 1e5 lose b
 
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
-Shares: TypeAlias = Float[np.ndarray, "*#batch 1"]
 Rows: TypeAlias = Int[np.ndarray, "n"]
 Moments: TypeAlias = Float[np.ndarray, "n"]
 

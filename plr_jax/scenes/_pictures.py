@@ -175,7 +175,6 @@ def _light_of(
 
 
 _REQUIRED = ("image", "resolution", "origin")
-_OPTIONAL = ("negate", "occupied_thresh", "free_thresh", "mode")
 _MODES = ("trinary", "scale", "raw")
 _RAW_FULL, _RAW_MOST = 255, 100  # a raw pixel is a share of occupancy in percent; unknown is what is beyond
 _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # of occupancy grids

@@ -379,7 +379,7 @@ class Continuous(CornerLeafModel):
     """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
 
     A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
-    order 1 derivatives there too (see ``space.py``).
+    order 1 derivatives there too (see ``plr/finite_elements.py``).
 
     Args:
         order: Of continuity: 0 for values, multilinear in every leaf; 1 for gradients too, cubic along every axis.

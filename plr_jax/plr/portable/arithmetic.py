@@ -162,11 +162,6 @@ def total(terms: Sequence[Value]) -> Value:
     return value
 
 
-def length(do: Operations, z: Point, axes: Sequence[int]) -> Value:
-    """The root of the sum of some coordinates' squares."""
-    return do.root(total([z[axis] * z[axis] for axis in axes]))
-
-
 def all_of(conditions: Sequence[Value]) -> Value:
     """Whether all of them hold."""
     holds, *others = conditions

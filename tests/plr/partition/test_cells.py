@@ -7,8 +7,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import (
     Cells,
     levels_of,
-    levels_of_preorder,
-    preorder_of_levels,
     tree_of,
     tree_of_levels,
 )
@@ -56,30 +54,3 @@ def test_the_deepest_path_fits():
     assert len(levels) == 61
     np.testing.assert_array_equal(order, np.arange(61))
     np.testing.assert_array_equal(tree_of_levels(levels, 1).leaves.position, leaves.position)
-
-
-def test_preorder_of_three_leaves():
-    kind, below = preorder_of_levels(levels_of(three_leaves())[0])
-    assert kind.tolist() == [1, 0, 2, 0, 0] and below.tolist() == [5, 1, 3, 1, 1]
-
-
-@settings(max_examples=30)
-@given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
-def test_preorder_is_that_of_recursion_and_gives_the_levels_back(seed, dim, num_splits):
-    levels, _ = levels_of(random_partition(seed, dim, num_splits))
-    tree, expected = tree_of_levels(levels, dim), []
-
-    def visit(node):
-        place, child = len(expected), tree.child[node]
-        expected.append([0, 1])
-        if child >= 0:
-            visit(child)
-            visit(child + 1)
-            expected[place] = [tree.axis[node] + 1, len(expected) - place]
-
-    visit(0)
-    kind, below = preorder_of_levels(levels)
-    assert np.stack([kind, below], axis=1).tolist() == expected
-    for level, again in zip(levels, levels_of_preorder(kind), strict=True):
-        np.testing.assert_array_equal(again.inner, level.inner)
-        np.testing.assert_array_equal(again.axis, level.axis)
