@@ -102,3 +102,14 @@ def random_obstacle(rng, kind):
         turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
         return shapely.Polygon(corner + size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
     return shapely.box(*corner, *(corner + size))
+
+
+def hard_points(workspace, seed):
+    """Points on vertices and edges of the triangles, beside them by about the tolerance, and anywhere."""
+    rng, triangles = np.random.default_rng(seed), workspace.triangulation.triangles
+    on_edges = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 2)
+    beside = workspace.tolerance * rng.choice([0.01, 1, 10, 100], (len(on_edges), 1))
+    x = [on_edges, on_edges + beside * rng.normal(size=on_edges.shape), workspace.boundary.vertices]
+    x = np.concatenate([*x, workspace.boundary.vertices + beside[0] * rng.normal(size=2)])
+    x = np.concatenate([rng.permutation(x)[:150], workspace.sample_free(50, seed)])
+    return x[workspace.is_free(x)]

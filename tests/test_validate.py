@@ -1,10 +1,9 @@
-import os
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from piece_helpers import box
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions, shapes
 
 from experiments import _dbcbs
@@ -13,13 +12,7 @@ from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.robots.robot import team_dof
 
-DATA = os.environ.get("PLR_JAX_DATA")
-needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")
 UP = np.pi / 2
-
-
-def box(x0, y0, x1, y1):
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
 ROOM = Workspace(((0, 0), (4, 4)), [box(3, 3.5, 3.5, 4), box(1.8, 1.8, 2.2, 2.2)])
@@ -196,9 +189,7 @@ def test_random_motions_by_dense_samples_and_by_the_planners_tests(one, other):
     """Verdicts agree with samples and with the other implementation; clearances with samples."""
     rng = np.random.default_rng(8)
     q0, q1 = (q.reshape(120, 2, 3) for q in random_motions(rng, 240, 4.0, 0.3, 0.6))
-    planner = motions_apart(one, q0[:, 0], q1[:, 0], other, q0[:, 1], q1[:, 1], 1e-9)
-    for i, robot in enumerate((one, other)):
-        planner &= MotionTest(ROOM, robot)(q0[:, i], q1[:, i])
+    planner = planner_accepts(ROOM, (one, other), q0, q1)
     solved = 0
     for a, b, free in zip(q0, q1, planner, strict=True):
         try:
@@ -253,10 +244,10 @@ SOLUTIONS = [
 ]
 
 
-def published(problem, solution):
+def published(data_dir, problem, solution):
     """A published trajectory as the path of a problem that begins and ends where it does."""
-    path = _dbcbs.read_trajectories(Path(DATA, f"{solution}.yaml"))
-    stated = _dbcbs.read_problem(Path(DATA, f"{problem}.yaml"))
+    path = _dbcbs.read_trajectories(data_dir / f"{solution}.yaml")
+    stated = _dbcbs.read_problem(data_dir / f"{problem}.yaml")
     num_stated = len(stated.robots)
     np.testing.assert_allclose(path[0, :num_stated], stated.starts, atol=1e-9)
     # They end within a numerical solver's tolerance of the goals.
@@ -264,24 +255,23 @@ def published(problem, solution):
     return Problem(stated.workspace, [stated.robots[0]] * path.shape[1], path[0], path[-1]), path
 
 
-def planner_accepts(problem, path):
-    free = np.ones(len(path) - 1, dtype=bool)
-    for i, robot in enumerate(problem.robots):
-        free &= MotionTest(problem.workspace, robot)(path[:-1, i], path[1:, i])
+def planner_accepts(workspace, robots, begin, end):
+    """Which motions of a team the planners' own tests of motions let through."""
+    free = np.ones(len(begin), dtype=bool)
+    for i, robot in enumerate(robots):
+        free &= MotionTest(workspace, robot)(begin[:, i], end[:, i])
         for j in range(i):
-            other = problem.robots[j]
-            free &= motions_apart(robot, path[:-1, i], path[1:, i], other, path[:-1, j], path[1:, j], 1e-9)
-    return bool(free.all())
+            free &= motions_apart(robot, begin[:, i], end[:, i], robots[j], begin[:, j], end[:, j], 1e-9)
+    return free
 
 
 @pytest.mark.full
-@needs_data
 @pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
-def test_published_trajectories_are_accepted(problem, solution):
-    problem, path = published(problem, solution)
+def test_published_trajectories_are_accepted(data_dir, problem, solution):
+    problem, path = published(data_dir, problem, solution)
     result = validate(problem, path)
     assert result.valid, result.message
-    assert planner_accepts(problem, path)
+    assert planner_accepts(problem.workspace, problem.robots, path[:-1], path[1:]).all()
     assert result.cost == pytest.approx(path_cost(problem, path))
     # At its rows a trajectory keeps 0.02 or more, between them it may come closer.
     assert sampled_clearance(problem, path, 2) > 0.02
@@ -291,26 +281,24 @@ def test_published_trajectories_are_accepted(problem, solution):
 
 
 @pytest.mark.full
-@needs_data
 @pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
-def test_published_trajectories_are_rejected_when_a_robot_is_shifted(problem, solution):
+def test_published_trajectories_are_rejected_when_a_robot_is_shifted(data_dir, problem, solution):
     """The robot that comes closest to something, shifted by 0.2 in four directions."""
-    problem, path = published(problem, solution)
+    problem, path = published(data_dir, problem, solution)
     (robot, *_), verdicts = validate(problem, path).who, []
     for shift in ((0.2, 0, 0), (0, 0.2, 0), (-0.2, 0, 0), (0, -0.2, 0)):
         moved = path.copy()
         moved[1:-1, robot] += shift
         wrong = validate(problem, moved)
         verdicts.append(wrong.valid)
-        assert wrong.valid == planner_accepts(problem, moved)
+        assert wrong.valid == planner_accepts(problem.workspace, problem.robots, moved[:-1], moved[1:]).all()
         assert wrong.valid or (robot in wrong.who and 0 <= wrong.when <= len(path) - 1)
     assert not all(verdicts)
 
 
-@needs_data
-def test_a_robot_moved_onto_another_is_rejected():
-    problem, path = published(*SOLUTIONS[2])
+def test_a_robot_moved_onto_another_is_rejected(data_dir):
+    problem, path = published(data_dir, *SOLUTIONS[2])
     path[30, 0] = path[30, 1]
     result = validate(problem, path)
-    assert not result.valid and not planner_accepts(problem, path)
+    assert not result.valid and not planner_accepts(problem.workspace, problem.robots, path[:-1], path[1:]).all()
     assert 0 in result.who and 29 <= result.when <= 30

@@ -12,7 +12,7 @@ from plr_jax import _arrays
 from plr_jax.collision import bodies, walls
 from plr_jax.collision import team as pairs
 from plr_jax.collision.team import JointMotionTest, motions_apart
-from plr_jax.collision.walls import MotionTest
+from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import PolygonRobot
@@ -87,21 +87,6 @@ def test_walls_in_portions(robot, monkeypatch):
     assert 0 < whole.mean() < 1
 
 
-def test_edges_near_are_looked_at_a_few_at_a_time(monkeypatch):
-    seen = []
-    distance = walls._distance_to_edges
-    monkeypatch.setattr(walls, "_PAIRS", 1000)
-    monkeypatch.setattr(
-        walls, "_distance_to_edges", lambda pieces, edges: seen.append(len(edges)) or distance(pieces, edges)
-    )
-    angle = np.arange(400) * 2 * np.pi / 400
-    column = np.column_stack([2 + 0.1 * np.cos(angle), 2 + 0.1 * np.sin(angle)])
-    q0 = np.full((50, 2), 2.0) + np.linspace(0.28, 0.29, 50)[:, None]
-    MotionTest(Workspace(((0, 0), (4, 4)), [column]), DISC)(q0, q0 + 0.01)
-    assert sum(seen) > 10_000
-    assert max(seen) < 1000 + 450  # no more than those of one motion beyond
-
-
 def test_clearance_is_the_same_by_a_tree(monkeypatch):
     x = np.random.default_rng(0).uniform(-1, 5, (500, 2))
     by_lines = ROOM.clearance(x)
@@ -134,3 +119,12 @@ def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
     with pytest.raises(TimeoutError):
         bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
     assert next(clock) == 7  # six judgements were begun at most
+
+
+def test_motion_tests_are_kept_whatever_their_deadlines():
+    room = Workspace(((0, 0), (4, 4)), BLOCKS)
+    with pytest.raises(TimeoutError):
+        motion_test(room, DISC, LONG_AGO)
+    test = motion_test(room, DISC, 1e9)
+    assert motion_test(room, DISC) is test
+    assert motion_test(room, DISC, LONG_AGO) is test

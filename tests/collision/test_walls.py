@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import shapely
+from piece_helpers import box
 from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shapes
 
 from plr_jax.collision.walls import MotionTest
@@ -8,10 +9,6 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, PolygonRobot, RectangleRobot
 
 UP = np.pi / 2
-
-
-def box(x0, y0, x1, y1):
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
 # A pillar in the middle of a 4 x 4 room, and a slanted thin wall.

@@ -3,7 +3,7 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from piece_helpers import TEN
+from piece_helpers import TEN, hard_points
 
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.workspace import Workspace
@@ -21,17 +21,6 @@ def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there
     inner = [((3, 4), (5, 6)), ((3, 6), (5, 4))]
     assert pairs >= {frozenset(pair) for pair in sides + along + inner} and len(pairs) == len(seen.edges)
     assert frozenset([(1, 4), (7, 6)]) not in pairs
-
-
-def hard_points(workspace, seed):
-    """On vertices and edges of the triangles, beside them by about the tolerance, and anywhere."""
-    rng, triangles = np.random.default_rng(seed), workspace.triangulation.triangles
-    on_edges = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 2)
-    beside = workspace.tolerance * rng.choice([0.01, 1, 10, 100], (len(on_edges), 1))
-    x = [on_edges, on_edges + beside * rng.normal(size=on_edges.shape), workspace.boundary.vertices]
-    x = np.concatenate([*x, workspace.boundary.vertices + beside[0] * rng.normal(size=2)])
-    x = np.concatenate([rng.permutation(x)[:150], workspace.sample_free(50, seed)])
-    return x[workspace.is_free(x)]
 
 
 @pytest.mark.full

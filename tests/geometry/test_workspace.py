@@ -108,6 +108,10 @@ def test_touching_a_contact_within_one_sector_is_no_squeeze():
     # The tip (5, 5) of a wedge touches a block's side; both are seen along the other side of the block.
     workspace = Workspace(TEN, [box(5, 4, 6, 8), np.array([[5.0, 5], [2, 6], [2, 5.5]])])
     check_visible(workspace, {((5, 3), (5, 5)): True, ((5, 3), (5, 6)): False, ((5, 3), (5, 4)): True})
+    # Over the touching tips of two wedges, along the upper side of one of them or of both.
+    for left, right in ((5, 5), (4.9, 5), (5, 4.9)):
+        wedges = [np.array([[5.0, 5], [2, left], [2, 3]]), np.array([[5.0, 5], [8, 3], [8, right]])]
+        check_visible(Workspace(TEN, wedges), {((3, 5), (7, 5)): True, ((5, 6), (5, 3)): False})
 
 
 def test_obstacles_may_overlap_touch_and_leave_the_bounds():
@@ -119,13 +123,6 @@ def test_obstacles_may_overlap_touch_and_leave_the_bounds():
     # The shared side of two obstacles is not a passage, and collinear vertices are gone.
     np.testing.assert_array_equal(workspace.is_free(np.array([[8.0, 4.0], [8.0, 3.0]])), [False, True])
     assert len(workspace.boundary.vertices) == 4 + 2 + 2 + 4
-
-
-def test_obstacles_with_holes_enclose_free_space():
-    ring = shapely.Polygon(box(2, 2, 8, 8), [box(4, 4, 6, 6)])
-    workspace = Workspace(TEN, [ring])
-    np.testing.assert_array_equal(workspace.is_free(np.array([[5.0, 5], [3, 3], [1, 1]])), [True, False, True])
-    assert not workspace.is_visible(np.array([[5.0, 5]]), np.array([[1.0, 1]]))[0]
 
 
 def test_from_polygons_takes_shapely_polygons_and_bounds_that_cut_them_or_are_wider():

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from plr_jax import Box, GridField
-from plr_jax._types import DimensionedFn
 
 WIDE = Box((0, 0), (3, 2))
 ROWS = np.array([[0.0, 1, 2], [10, 11, 12]])
@@ -14,13 +13,6 @@ ROWS = np.array([[0.0, 1, 2], [10, 11, 12]])
 
 def at(field, *points):
     return field(np.array(points, float)).tolist()
-
-
-def test_rows_run_along_y_and_columns_along_x():
-    field = GridField(ROWS, WIDE)
-    assert at(field, (0.5, 0.5), (2.5, 0.5), (0.5, 1.5), (2.5, 1.5)) == [0, 2, 10, 12]
-    assert at(field, (1, 0.5), (0.5, 1), (1.25, 1.25)) == [0.5, 5, 8.25]
-    assert field.dim == 2 and isinstance(field, DimensionedFn) and field.bounds == WIDE
 
 
 def test_beyond_the_outer_centers_it_is_constant():

@@ -96,13 +96,6 @@ def test_directions_to_goals_on_corners(wall, goal):
     np.testing.assert_array_equal(directions, [(0, 0), (-1, 0)] if goal == (4, 8) else [(1, 0), (0, 0)])
 
 
-def test_without_obstacles_the_distance_is_straight():
-    oracle = VisibilityGraph(Workspace(TEN), (3, 3))
-    x = np.vstack([np.random.default_rng(0).uniform(0, 10, (1000, 2)), [[0, 0], [10, 10]]])
-    np.testing.assert_allclose(oracle(x), np.linalg.norm(x - 3, axis=1))
-    assert np.isinf(oracle(np.array([[0, 11], [-1e-6, 3]]))).all()
-
-
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
     oracle = VisibilityGraph(Workspace(TEN, [box(3, 3, 5, 5), box(5, 5, 7, 7)], squeeze=squeeze), (1, 1))

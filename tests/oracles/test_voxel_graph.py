@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from voxel_helpers import random_volume
 
-from plr_jax import Box, GridGraph, VoxelGraph
+from plr_jax import Box, VoxelGraph
 from plr_jax._types import DimensionedFn
 
 CUBE = np.ones((3, 3, 3), bool)
@@ -40,16 +40,6 @@ def test_distances_are_those_of_a_search_by_the_book(moves, most):
         graph = VoxelGraph(free, (0, 0, 0), moves, Box((0, 0, 0), np.array(free.shape) * sides))
         x = (np.argwhere(np.ones_like(free)) + 0.5) * sides
         np.testing.assert_allclose(graph(x), dijkstra(free, (0, 0, 0), most, sides).ravel(), rtol=1e-12)
-
-
-def test_of_one_layer_it_is_a_grid():
-    free = np.random.default_rng(0).random((9, 7)) > 0.3
-    free[0, 0] = True
-    cells = np.argwhere(np.ones_like(free)).astype(float)
-    volume = np.append(cells, np.zeros((len(cells), 1)), axis=1)
-    for moves, connectivity in ((6, 4), (18, 8), (26, 8)):
-        grid = GridGraph(free.T, (0, 0), connectivity=connectivity)
-        np.testing.assert_allclose(VoxelGraph(free[..., None], (0, 0, 0), moves)(volume), grid(cells))
 
 
 def test_all_points_of_a_voxel_have_its_distance_and_those_elsewhere_none():

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -32,17 +31,9 @@ from plr_jax.planners import Stats, Status
 from plr_jax.planners._solution import solution_of
 from plr_jax.plot._paths import timeline
 from plr_jax.robots.robot import (
-    footprint,
     shorter_turn,
     smaller_angle,
 )
-
-
-def test_radii_of_the_discs_within_and_around():
-    assert (PointRobot().inscribed_radius, PointRobot().circumscribed_radius) == (0.0, 0.0)
-    assert (DiscRobot(0.4).inscribed_radius, DiscRobot(0.4).circumscribed_radius) == (0.4, 0.4)
-    rectangle = RectangleRobot(3.0, 4.0)
-    assert (rectangle.inscribed_radius, rectangle.circumscribed_radius) == (1.5, 2.5)
 
 
 @pytest.mark.parametrize("size", [0, -1, np.nan, np.inf, "wide", None])
@@ -50,12 +41,6 @@ def test_sizes_must_be_positive_and_finite(size):
     for make in (DiscRobot, lambda x: RectangleRobot(x, 1), lambda x: RectangleRobot(1, x)):
         with pytest.raises(ValueError, match="must be a positive finite number, got"):
             make(size)
-
-
-def test_footprints():
-    assert shapely.equals(footprint(DiscRobot(2.0), np.array([1.0, 2.0, 9.0])), shapely.Point(1, 2))
-    upright = footprint(RectangleRobot(4.0, 2.0), np.array([1.0, 2.0, np.pi / 2]))
-    assert shapely.symmetric_difference(upright, shapely.box(0, 0, 2, 4)).area < 1e-12
 
 
 # A door, 1.2 wide, between two rooms.
