@@ -22,7 +22,6 @@ from plr_jax import PLR, VisibilityGraph, Workspace, certify, construct, from_by
 
 BUDGETS = {"maze": 512, "arena": 4_096}
 _INK, _ERROR_COLORS = "#262626", "magma_r"
-_SMALL = 1e-5  # of the domain's width: not much more than queries round
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:

@@ -111,9 +111,6 @@ def test_paths_end_at_the_goal_and_are_as_long_as_is_said(car, extent):
         assert np.abs([*error[:2], np.angle(np.exp(1j * error[2]))]).max() < 1e-12 * (1 + extent)
 
 
-WORDS = {"LSL", "LSR", "LRL", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR"}
-
-
 POSE = st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-10, 10))
 TURN = st.floats(0, 6 * RADIUS)
 
