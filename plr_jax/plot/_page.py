@@ -189,7 +189,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
-        content |= {"box": json.dumps(box), "modules": f"[{_module(data)}]"}
+        content |= {"box": json.dumps(box), "module": _module(data)}
     told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
     script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
@@ -199,7 +199,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
 
 def _module(data: bytes) -> str:
-    """The reader of a file as an entry of the page's list of those."""
+    """Return a reader of the file, as an object of JavaScript."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

@@ -1,5 +1,5 @@
 // A distance function to look at: what is shown is one of openings, { distance, bounds, route, ... } of points.
-const { name, file, modules, walls, box } = {{content}};
+const { name, file, module, walls, box } = {{content}};
 const KINDS = ["planes", "continuous leaves", "smooth leaves", "cones"];
 const COLORS = "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725".split(" ").map(hex => [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16)));
 const MOST_BYTES = 2 ** 26, MOST_LISTED = 512, FINEST = 500, SIZE = 520, SWARM = 80, UNIT = "workspace units";
@@ -15,52 +15,44 @@ const between = (a, b, share) => a + share * (b - a);
 const apart = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
 
 // What is open, and what of it is shown.
-let opened = null, layer = 0, view = null, start = [0, 0], goal = [0, 0], values = null, largest = 0, swarm = [];
-const shown = () => opened.layers[layer];
+let opened = null, view = null, start = [0, 0], goal = [0, 0], values = null, largest = 0, swarm = [];
+const shown = () => opened.reader;
 
 function bytesOf(base64) { return Uint8Array.from(atob(base64), letter => letter.charCodeAt(0)); }
 
 function openFile(bytes, title, drawn) {
     if (bytes.length > MOST_BYTES) fail(`it has more than ${MOST_BYTES} bytes`);
-    const container = readContainer(bytes), { domain, layers } = container;
-    if (layers[layers.length - 1].leaf === PAIRS) {
+    const container = readContainer(bytes), { domain, layers } = container, last = layers[layers.length - 1];
+    if (last.leaf === PAIRS) {
         const tables = readPairs(container, bytes.length), reader = pairsReader(tables);
         const longest = tables.lists.reduce((most, list) => Math.max(most, list.length), 0);
         if (longest > MOST_LISTED) fail(`a cell lists ${longest} corners, more than the ${MOST_LISTED} that this page tries at once`);
-        return { ...domain, title, isOfPairs: true, walls: drawn || outlineOf(tables.outline), layers: [{
+        return { ...domain, title, isOfPairs: true, walls: drawn || outlineOf(tables.outline), reader: {
             ...reader, ...tables, size: bytes.length, kind: `${tables.corners} corners, ${tables.leaves.toLocaleString("en")} cells`,
             route: (x, y) => reader.path(x, y),
-        }] };
+        } };
     }
-    for (const { leaf } of layers) {
-        if (leaf !== CONE) fail(`it holds ${KINDS[leaf] || `leaves of kind ${leaf}`}, which this page does not read: plr-jax view makes a page of such a file`);
-    }
-    const read = layers.map(each => {
-        const tables = readCones(container, each), { x, y, parent } = tables.sources, reader = coneReader(tables);
-        const nearest = point => x.reduce((best, _, i) => apart([x[i], y[i]], point) < apart([x[best], y[best]], point) ? i : best, 0);
-        const root = nearest([x, y].map(along => along[parent.findIndex((of, i) => of === i)]));
-        return {
-            ...reader, ...tables, size: each.end, kind: `${tables.leaves.toLocaleString("en")} cones`, goal: [x[root], y[root]],
-            route(from) { // to the source of the leaf, and on from parent to parent
-                if (!Number.isFinite(reader.distance(from))) return null;
-                const points = [from];
-                for (let at = nearest(reader.waypoint(from)); ; at = parent[at]) {
-                    points.push([x[at], y[at]]);
-                    if (parent[at] === at) return points;
-                }
-            },
-        };
-    });
-    return { ...domain, title, layers: read, walls: drawn };
+    if (last.leaf !== CONE) fail(`it holds ${KINDS[last.leaf] || `leaves of kind ${last.leaf}`}, which this page does not read: plr-jax view makes a page of such a file`);
+    const tables = readCones(container, last), { x, y, parent } = tables.sources, reader = coneReader(tables);
+    const nearest = point => x.reduce((best, _, i) => apart([x[i], y[i]], point) < apart([x[best], y[best]], point) ? i : best, 0);
+    const root = nearest([x, y].map(along => along[parent.findIndex((of, i) => of === i)]));
+    return { ...domain, title, walls: drawn, reader: {
+        ...reader, ...tables, size: bytes.length, kind: `${tables.leaves.toLocaleString("en")} cones`, goal: [x[root], y[root]],
+        route(from) { // to the source of the leaf, and on from parent to parent
+            if (!Number.isFinite(reader.distance(from))) return null;
+            const points = [from];
+            for (let at = nearest(reader.waypoint(from)); ; at = parent[at]) {
+                points.push([x[at], y[at]]);
+                if (parent[at] === at) return points;
+            }
+        },
+    } };
 }
 
-// PLRs of other leaves, whose readers the page holds as code.
-function openModules() {
-    const layers = modules.map(({ read, ...facts }) => {
-        const reader = read();
-        return { ...reader, ...facts, goal: null, isSourced: false, route: from => descent(reader, from) };
-    });
-    return { ...box, title: name, layers, walls };
+// A PLR of other leaves, whose reader the page holds as code.
+function openModule() {
+    const { read, ...facts } = module, reader = read();
+    return { ...box, title: name, walls, reader: { ...reader, ...facts, goal: null, isSourced: false, route: from => descent(reader, from) } };
 }
 
 function outlineOf({ first, x, y }) {
@@ -274,13 +266,6 @@ function describe() {
     const { kind, size, error } = shown(), proof = error === undefined || error === null ? "nothing is proven of its error" : error < Infinity ? `no error above ${text(error)}, proven` : "of its error only lower bounds are proven";
     byId("title").textContent = opened.title;
     byId("facts").textContent = `${size.toLocaleString("en")} bytes; ${kind}; ${opened.isOfPairs ? "exact but for rounding, with proven bounds" : proof}. ${opened.isOfPairs ? "The distance between any two points" : "The distance to the goal"}, around walls, in ${UNIT}.`;
-    const isLayered = opened.layers.length > 1;
-    byId("layers").hidden = !isLayered;
-    if (isLayered) {
-        byId("layer").max = opened.layers.length - 1;
-        byId("layer").value = layer;
-        byId("layer-says").value = `${size.toLocaleString("en")} bytes: ${proof}`;
-    }
     byId("stage").classList.toggle("draggable", Boolean(opened.isOfPairs));
     byId("help").textContent = opened.isOfPairs
         ? "Drag either end; click elsewhere to start a swarm from there. Keys: arrows move the start, with Shift the goal; Enter starts a swarm."
@@ -312,10 +297,9 @@ function freeNear(shares) {
 }
 
 function show(content) {
-    const before = [opened, layer, view];
+    const before = [opened, view];
     try {
         opened = content;
-        layer = content.layers.length - 1;
         largest = 0;
         look();
         if (content.isOfPairs) goal = freeNear([0.08, 0.08]);
@@ -323,7 +307,7 @@ function show(content) {
         if (!content.isOfPairs) goal = shown().goal || lowest();
         start = freeNear([0.93, 0.93]);
     } catch (error) {
-        [opened, layer, view] = before;
+        [opened, view] = before;
         throw error;
     }
     byId("celled").checked = false;
@@ -439,9 +423,8 @@ stage.addEventListener("keydown", event => {
 byId("contoured").addEventListener("change", drawField);
 byId("walled").addEventListener("change", event => { byId("walls").style.display = event.target.checked ? "" : "none"; });
 byId("celled").addEventListener("change", drawCells);
-byId("layer").addEventListener("input", event => { layer = +event.target.value; largest = 0; drawField(); drawAll(); });
 byId("file").addEventListener("change", event => takeFile(event.target.files[0]));
 addEventListener("dragover", event => event.preventDefault());
 addEventListener("drop", event => { event.preventDefault(); takeFile(event.dataTransfer.files[0]); });
 
-try { show(file ? openFile(bytesOf(file), name, walls) : openModules()); } catch (error) { refuse(name, error); }
+try { show(file ? openFile(bytesOf(file), name, walls) : openModule()); } catch (error) { refuse(name, error); }

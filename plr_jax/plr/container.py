@@ -163,7 +163,7 @@ class Container:
 
     @property
     def last(self) -> Layer:
-        """The finest layer."""
+        """The last layer, which is the only one of a PLR."""
         return self.layers[-1]
 
     @property
@@ -173,8 +173,8 @@ class Container:
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
-        *coarser, last = self.layers
-        parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in coarser), last.body]
+        *first, last = self.layers
+        parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
         data = Header(self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes).data
         crc = zlib.crc32(data)

@@ -256,7 +256,7 @@ def test_damaged_files_are_refused_in_words_and_what_was_shown_stays(held, brows
         shown += is_shown
         assert is_shown or re.fullmatch(r"a\.plr cannot be shown: .{10,}\.", says), says
         assert "undefined" not in says and "TypeError" not in says and "RangeError" not in says, says
-        assert browser.run("opened.layers.length > 0 && Number.isFinite(view.scale)")
+        assert browser.run("shown().size > 0 && Number.isFinite(view.scale)")
     assert 0 < shown < len(files) and not browser.errors
 
 

@@ -55,7 +55,7 @@ function readDomain(reader, isFloats) {
     return { lo, hi };
 }
 
-// What a file's bytes hold: the domain, and layers, the last one the finest.
+// What a file's bytes hold: the domain, and layers. A PLR has one layer, pairs have several.
 function readContainer(bytes) {
     const start = [...bytes.subarray(0, 4)];
     const is = text => [...text].every((letter, i) => letter.charCodeAt(0) === start[i]);
@@ -77,6 +77,7 @@ function readContainer(bytes) {
         reader.checkText(length);
         const count = reader.varint();
         if (count > 32) fail(`it states ${count} layers, more than 32`);
+        if (count && (second & 7) !== 7) fail("it begins with coarser PLRs, as progressive made them; plr_jax 0.1 reads it");
         sizes = Array.from({ length: count }, () => reader.varint());
     }
     const layers = [];
@@ -90,7 +91,7 @@ function readContainer(bytes) {
         if (new DataView(bytes.buffer, bytes.byteOffset + end - 4).getUint32(0, true) !== ~crc >>> 0) {
             fail("its checksum does not match: the file is truncated or corrupt");
         }
-        layers.push({ leaf: codes[0], proof: codes[1], end, body: bytes.subarray(at + (isLast ? 0 : 1), end - 4) });
+        layers.push({ leaf: codes[0], proof: codes[1], body: bytes.subarray(at + (isLast ? 0 : 1), end - 4) });
         at = end;
     }
     return { domain, layers };
