@@ -13,6 +13,7 @@ from plr_jax._arrays import (
     as_points,
     as_values,
     deadline_after,
+    padded_size,
     require_integer,
     require_time,
     shortened,
@@ -104,6 +105,14 @@ def test_numbers_of_any_type_in_their_range_are_let_through():
     assert as_finite("radius", np.float32(0.5)) == 0.5 and as_finite("radius", 0) == 0.0
     assert as_number("share", 1, "from 0 to 1", lambda share: 0 <= share <= 1) == 1.0
     assert as_number("limit", np.inf, "positive", lambda limit: limit > 0) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("n", "sizes", "size"),
+    [(0, (), 1), (1, (), 1), (3, (), 4), (4, (), 4), (5, (), 8), (0, (1, 6), 1), (2, (1, 6), 6), (7, (1, 6), 8)],
+)
+def test_sizes_to_fill_up_to(n, sizes, size):
+    assert padded_size(n, sizes) == size
 
 
 def test_values_may_be_anything_but_masked_ones_are_infinite_and_distances_are_never_nan():

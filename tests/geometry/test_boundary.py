@@ -1,8 +1,11 @@
+import math
+
 import numpy as np
 import pytest
 import shapely
 
 from plr_jax.geometry.boundary import as_polygon, as_polygons, triangulate
+from plr_jax.geometry.vectors import arc, pseudo_angle, turn_between
 from plr_jax.geometry.workspace import Workspace
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -88,3 +91,24 @@ def test_regions_that_geos_cannot_triangulate_are_cut(monkeypatch):
 
     monkeypatch.setattr(shapely, "constrained_delaunay_triangles", of_simple_ones)
     assert_filled(lattice_region(0))
+
+
+def test_pseudo_angle_of_the_axes():
+    dx, dy = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1], [0, 0]]).T
+    np.testing.assert_array_equal(pseudo_angle(dx, dy), [0, 1, 2, 3, 0])
+
+
+def test_an_arc_is_inscribed_and_ends_exactly():
+    center, start, end = np.array([1.0, 2.0]), np.array([0.5, 0.0]), np.array([0.0, -0.5])
+    points = arc(center, start, end, 12)
+    assert len(points) == 1 + 12
+    np.testing.assert_array_equal(points[[0, -1]], [center + start, center + end])
+    np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.5)
+    chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    np.testing.assert_allclose(chord, 2 * 0.5 * math.sin(math.pi / 16))
+
+
+def test_turns_are_counterclockwise():
+    east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
+    turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
+    np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])

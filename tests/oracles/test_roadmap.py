@@ -12,6 +12,7 @@ from jaxtyping import TypeCheckError
 from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, length, roadmap
 
 from plr_jax import Box, Roadmap, Workspace, scenes
+from plr_jax.oracles._roadmap import prm_star_radius
 
 PI = np.pi
 TORUS, CYLINDER = (Box((-PI, 0), (PI, 1), periodic=(True, periodic)) for periodic in (True, False))
@@ -243,6 +244,14 @@ def test_each_motion_is_judged_by_its_own_configurations():
     np.testing.assert_array_equal(oracle.is_visible(a, b), [True, False, False, True, True, True])
     assert oracle.is_visible(a[:0], b[:0]).shape == (0,)
     np.testing.assert_array_equal(oracle.is_free(np.array([[4.5], [2], [-1], [11], [np.nan]])), [0, 1, 0, 0, 0])
+
+
+def test_radius_is_that_of_prm_star():
+    assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
+    expected = 2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
+    assert prm_star_radius(500, 3, 2.0) == pytest.approx(expected)
+    assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
+    assert roadmap(CUT, num_samples=1999).radius == pytest.approx(prm_star_radius(2000, 2, 0.9), rel=0.02)
 
 
 @pytest.mark.parametrize("tests", [{"is_visible": NOTHING.is_visible}, {"resolution": 0.1}])
