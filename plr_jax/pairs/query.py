@@ -25,15 +25,17 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.near_walls import NearWalls
-from plr_jax.pairs.portable import MARGIN, Scene, crossings, walls_with_sides, winding
+from plr_jax.pairs.occluders import occluders_of
+from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
 from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.query import lookup
 from plr_jax.plr.tables import Tables, build_tables
 
-_UNROLLED = 16  # walls at a time
+_UNROLLED = 16  # walls, or occluders, at a time
 _LEAVES_AT_ONCE = 32
 _AT_ONCE = 2**14  # pairs of points: as many as caches hold
+_TESTED = 2**10  # pairs that are tested against all walls together
 _MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then
 _LARGEST = np.finfo(np.float32).max  # the bits of `inf` may not be changed: it would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
@@ -57,6 +59,7 @@ class PairTables:
     Attributes:
         partition: Finds leaves.
         walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
+        occluders: Segments inside obstacles, see :func:`occluders_of`; in groups, padded with zeros.
         near: Walls that may hide a corner of a leaf's list; None where they are too many to be worth it.
         x: First coordinate of the corners of each leaf's list; padding is ``inf``.
         y: Second coordinate.
@@ -78,6 +81,7 @@ class PairTables:
 
     partition: Tables
     walls: Float[Array, "groups 16 7"]
+    occluders: Float[Array, "groups_of_occluders 16 7"]
     near: NearWalls | None
     x: Float[Array, "leaves longest"]
     y: Float[Array, "leaves longest"]
@@ -116,22 +120,28 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)
     beside = np.full(listed.shape, np.inf, np.float32)
     beside[: len(cells)] = np.nextafter(np.hypot(*np.moveaxis(apart, -1, 0)).astype(np.float32), np.float32(0))
-    # 3. Walls near listed corners.
+    # 3. Occluders deeper inside obstacles than walls move back, and walls near listed corners.
+    try:
+        depth = 4 * RECEDING * float(stored.domain.width.max())
+        occluders = occluders_of(stored.outline.region, stored.domain, depth, len(stored.outline.points))
+    except ValueError:  # details narrower than the lattice of the file: only the walls are known
+        occluders = np.zeros((0, 7))
     margin = MARGIN * float(stored.domain.width.max())
     near = NearWalls.of((lo, hi), stored.leaf, stored.listed, seen.corners[:-1], seen.walls, margin, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jnp.asarray(values.astype(np.float32))
 
-    def in_groups(walls: Float[np.ndarray, "n 4"]) -> Float[Array, "groups 16 7"]:
-        groups = size_in_eighths(-(-len(walls) // _UNROLLED))
-        return in_32_bits(padded(walls_with_sides(walls), _UNROLLED * groups).reshape(-1, _UNROLLED, 7))
+    def in_groups(rows: Float[np.ndarray, "n 7"]) -> Float[Array, "groups 16 7"]:
+        groups = size_in_eighths(-(-len(rows) // _UNROLLED))
+        return in_32_bits(padded(rows, _UNROLLED * groups).reshape(-1, _UNROLLED, 7))
 
     distances = jnp.asarray(distances_table(stored, size))
     x, y = (along[listed] for along in seen.corners.T)
     return PairTables(
         partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
-        walls=in_groups(seen.walls),
+        walls=in_groups(walls_with_sides(seen.walls)),
+        occluders=in_groups(occluders),
         near=near,
         x=in_32_bits(x),
         y=in_32_bits(y),
@@ -141,7 +151,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         corners=in_32_bits(padded(seen.corners, size, np.inf)),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
-        proud_walls=in_groups(free.walls),
+        proud_walls=in_groups(walls_with_sides(free.walls)),
         proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
         rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
         unresolved=unresolved_types(stored.domain),
@@ -481,6 +491,43 @@ def _is_leg_hidden(
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Return whether an obstacle is between points. Occluders tell most hidden pairs, walls the others."""
+    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
+    if is_symbolic_dim(size) or size <= _TESTED:
+        return hidden | _is_across_walls(tables, x, y)
+    number = jnp.cumsum(~hidden)  # of each pair that is left, from 1
+
+    def test_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
+        lanes = jnp.searchsorted(number, done * _TESTED + 1 + jnp.arange(_TESTED))  # past the end if fewer are left
+        across = _is_across_walls(tables, *(_at(p, lanes, "clip") for p in (x, y)))
+        return hidden.at[lanes].set(across, mode="drop", unique_indices=True)
+
+    return jax.lax.fori_loop(0, -(-number[-1] // _TESTED), test_next, hidden)
+
+
+def is_across_occluder(
+    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
+) -> Bool[Array, "n"]:
+    """Return whether lines between points certainly cross an occluder, whatever is rounded.
+
+    Rounding may put an end of an occluder on the other side of a line. So both points must be clear of the occluder's
+    own line, on its two sides.
+    """
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, group):
+        for ax, ay, bx, by, nx, ny, offset in group:
+            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]
+
+
+def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     """Return whether an obstacle, whose walls have moved back a little, is between points.
 
     A line through an obstacle goes in across a wall and out across another. A line goes in alone, or out alone, from
