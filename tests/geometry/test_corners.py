@@ -5,11 +5,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import TEN, hard_points
 
-from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.corners import corner_visibility, find_corners
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 
 BLOCK = Workspace(TEN, [[(4, 0), (6, 0), (6, 8), (4, 8)]])  # stands on the bottom, its corners (4, 8) and (6, 8)
+
+
+def test_the_goal_comes_first_and_takes_the_place_of_a_corner():
+    corners, goal = find_corners(BLOCK)[0], np.array([4.0, 8.0])
+    np.testing.assert_array_equal(corners.points, [[4, 8], [6, 8]])
+    # A free sector opens counterclockwise: at (4, 8) from the top of the block to its left side.
+    np.testing.assert_array_equal(corners.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
+    np.testing.assert_array_equal(corners.without(goal).points, [[6, 8]])
+    np.testing.assert_array_equal(corners.without(goal).walls, corners.walls[:, 1:])
+    vertices = corners.without(goal).with_goal(goal)
+    np.testing.assert_array_equal(vertices.points, [[4, 8], [6, 8]])
+    np.testing.assert_array_equal(vertices.walls[:, 0], 0)
 
 
 def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there():

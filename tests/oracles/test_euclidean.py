@@ -75,11 +75,6 @@ def test_what_is_no_list_of_distance_functions_is_refused(fns):
         NearestGoal(fns)
 
 
-def test_several_goals_of_one_oracle_are_led_here():
-    with pytest.raises(ValueError, match=r"one point .* shape \(3, 2\).*NearestGoal"):
-        VisibilityGraph(ROOMS, DOCKS)
-
-
 def test_masked_answers_are_none():
     class Masked:
         dim = 1

@@ -61,17 +61,3 @@ def test_what_is_found_is_shared_by_all_goals_and_left_out_of_pickles():
 def test_of_rooms_that_are_apart_none_is_reached_from_another():
     oracle = VisibilityGraph(Workspace.from_polygons([{"outer": box(i, 0, i + 1, 1)} for i in (0, 2)]), (0.5, 0.5))
     np.testing.assert_allclose(oracle.between([(0.2, 0.5), (0.2, 0.5)], [(2.5, 0.5), (0.8, 0.5)]), [np.inf, 0.6])
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("x", "y", "message"),
-    [
-        (np.zeros((2, 2)), np.zeros((3, 2)), "as many points, got 2 and 3"),
-        (np.zeros(2), np.zeros((1, 2)), r"x must .*\(n, 2\)"),
-        (np.zeros((1, 2)), np.zeros((1, 3)), r"y must .*\(n, 2\)"),
-    ],
-)
-def test_what_is_wrong_is_said(x, y, message):
-    with pytest.raises(ValueError, match=message):
-        VisibilityGraph(WALL, (1, 1)).between(x, y)

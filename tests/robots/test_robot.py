@@ -201,6 +201,13 @@ def half_turn_from(theta, side, k):
     return theta + side * np.pi + k * np.spacing(abs(theta) + np.pi)
 
 
+@given(headings, headings)
+def test_a_turn_leads_to_the_heading_and_is_at_most_half(a, b):
+    (by,) = shorter_turn(np.array([a]), np.array([b]))
+    assert -np.pi < by <= np.pi
+    assert abs(np.exp(1j * (a + by)) - np.exp(1j * b)) < 1e-12
+
+
 @given(headings, sides, ulps, wraps, wraps)
 def test_rounding_and_wrapping_never_change_the_way(theta, side, k, wrap, wrap_other):
     ends = np.array([[wrap(theta)], [wrap_other(half_turn_from(theta, side, k))]])
