@@ -4,7 +4,6 @@ Four smooth costs and four rasters, which differ by factors of 2 to 50, around a
 3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
 about as many nodes as the PLR has cells, and is interpolated between them. Seconds are of all cores, compiled before;
 of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too.
-``empty``: gaps in boxes of one to four axes without costs or walls, over those of the counts of cells beside.
 """
 
 from collections.abc import Callable
@@ -18,16 +17,14 @@ from scipy.interpolate import RegularGridInterpolator
 
 from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
-from plr_jax import ClearanceSpace, CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
+from plr_jax import CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
 
 BOUNDS = ((0.0, 0.0), (2.0, 1.0))
 GOAL = np.array([0.2, 0.2])
 WALL = [(0.9, 0.0), (1.0, 0.0), (1.0, 0.6), (0.9, 0.6)]
 POINTS = 20_000
 CELLS = (2_500, 10_000, 40_000)
-GOALS = (0.3, 0.4, 0.2, 0.6)  # of empty boxes, along their axes
 _TURNS = 3
-_ROUNDING = 1e-5
 _FINE = 1_600  # rows of the truth
 
 Points = Float[np.ndarray, "n 2"]
@@ -159,28 +156,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def empty(seed: int, smoke: bool) -> dict[str, Any]:
-    """Gaps in empty boxes, for many counts of cells: none should be far wider than those beside it."""
-    rows, rng = [], np.random.default_rng(seed)
-    for dim, stride in ((1, 1), (2, 1), (3, 10), (4, 30)):
-        space, goal = ClearanceSpace(((0,) * dim, (1,) * dim), lambda q: np.ones(len(q)), 0), GOALS[:dim]
-        x, gaps, num_broken = rng.random((2_000, dim)), [], 0
-        counts = range(4, 8 if smoke else 301, stride)
-        for cells in counts:
-            lower, upper = (
-                np.asarray(each, float) for each in solve_eikonal(space, goal, max_leaves=cells).bounds(x)
-            )
-            straight = np.linalg.norm(x - goal, axis=1)
-            gaps.append(float((upper - lower).mean() / straight.mean()))
-            num_broken += int(np.count_nonzero((lower > straight + _ROUNDING) | (upper < straight - _ROUNDING)))
-        beside = [max(each) for each in zip(gaps[:-2], gaps[2:], strict=True)]
-        ratios = [gap / wider for gap, wider in zip(gaps[1:-1], beside, strict=True)]
-        row = {"axes": dim, "counts": len(counts), "gap of 4": gaps[0], "gap of the last": gaps[-1]}
-        rows.append(row | {"most over both beside": max(ratios, default=None), "broken": num_broken})
-    return {"rows": rows}
-
-
-SECTIONS = {each.__name__: Section(each) for each in (estimates, bounds, empty)}
+SECTIONS = {each.__name__: Section(each) for each in (estimates, bounds)}
 
 if __name__ == "__main__":
     run("costs", __doc__, SECTIONS)

@@ -157,13 +157,6 @@ def versions_of(*packages: str) -> dict[str, str]:
     return found
 
 
-def large(seed: int, smoke: bool) -> dict[str, Any]:
-    number = 2 if smoke else 256
-    free, goals = random_levels(number, 32, seed)
-    every = (4, 8) if smoke else (4, 8, "any-angle")
-    return {"rows": timed({f"moves={moves}, all cells": (partial(cells, moves), (free, goals)) for moves in every})}
-
-
 def of_rooms(seed: int, smoke: bool) -> dict[str, Any]:
     """Also seconds of SciPy's Dijkstra, graph given, and of scikit-fmm, which measures another distance."""
     rows = []
@@ -337,7 +330,6 @@ def gradients(free: Levels, goals: Goals, seed: int) -> dict[str, Any]:
 
 SECTIONS = {
     "11 x 11": Section(small),
-    "32 x 32": Section(large),
     "rooms": Section(of_rooms),
     "environments": Section(environments),
     "differences": Section(differences),

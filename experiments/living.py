@@ -8,10 +8,6 @@ tenth of them around what has changed since, against an oracle that is built ane
 more than queries in 32 bits round. Errors are means at such points, as shares of the mean distance, of the PLR after
 all changes and of one built anew.
 
-``pairs``: the same changes, of pairs of 65,536 bytes: CPU seconds of the file, and of the tables that the first query
-makes of it, beside both built anew, every tenth time; then corners are counted that the list of a point has, on which
-the time of a query depends. After every fiftieth change distances and bounds are tested between random free points.
-
 ``rivals``: boxes of cells of den520d that are blocked and freed, one after the other, beside the grid searches that
 repair what they found, for one start, and scikit-fmm, which marches again.
 
@@ -31,14 +27,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments._measures import timed
+from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
 from experiments.baselines.incremental import incremental_planners, replanned
 from experiments.benchmarks._maps import load_map, load_maps
-from plr_jax import PLR, PairPLR, VisibilityGraph, Workspace, construct, construct_pairs, from_bytes, plot, trace
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
-PAIR_MAPS, PAIRS, ASKED_EVERY = ("maze", "arena"), 100_000, 50  # queries of each partition are compiled
 CHANGES, EVERY, POINTS = 100, 10, 1_000_000
 _ROUNDING = 1e-6  # of the distance and the width: what queries in 32 bits round
 _TRIED = 40  # places of a doorway
@@ -75,8 +70,13 @@ def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bo
             x = _points(rng, workspace, around, 1_000 if smoke else POINTS)
             distance = truth(x)
             x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-            broken += _num_broken(plr, x, distance)
-            errors = {key: _error(each, x, distance) for key, each in (("updated", plr), ("built anew", other))}
+            lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
+            rounding = _ROUNDING * (distance + plr.domain.width.max())
+            broken += int(np.count_nonzero((lower > distance + rounding) | (upper < distance - rounding)))
+            errors = {
+                key: relative_error(np.asarray(each(x), float), distance)
+                for key, each in (("updated", plr), ("built anew", other))
+            }
             around = []
     medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items() if key != "anew"}
     total = sum(medians.values())
@@ -142,16 +142,6 @@ def _points(rng: np.random.Generator, workspace: Workspace, around: list[Any], n
         near = lo - 0.5 * (hi - lo) + 2 * (hi - lo) * rng.random((num // (10 * len(around)), 2))
         x.append(near[workspace.is_free(near)])
     return np.concatenate(x)
-
-
-def _num_broken(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> int:
-    lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
-    rounding = _ROUNDING * (distance + plr.domain.width.max())
-    return int(np.count_nonzero((lower > distance + rounding) | (upper < distance - rounding)))
-
-
-def _error(plr: PLR, x: Points, distance: Float[np.ndarray, "n"]) -> float:
-    return float(np.abs(np.asarray(plr(x), float) - distance).mean() / distance.mean())
 
 
 RIVALS_MAP, LONGEST = "den520d", 0.03
@@ -256,7 +246,9 @@ def doors(seed: int, smoke: bool) -> dict[str, Any]:
                 "word": word,
                 "ms": 1e3 * took,
                 "closed": [
-                    i for i in closed if i + first < len(workspace.obstacles) and not _is_gone(workspace, i + first)
+                    i
+                    for i in closed
+                    if i + first < len(workspace.obstacles) and not workspace.obstacles[i + first].is_empty
                 ],
                 "plr": b64encode(plr.to_bytes()).decode("ascii"),
                 "paths": [np.round(path, 3).tolist() for path in trace(plr, reached).paths],
@@ -276,10 +268,6 @@ def _telling_doors(rng: np.random.Generator, oracle: VisibilityGraph, num: int) 
         if not any(boxes[i].dwithin(other, far) for other in (*chosen, shapely.Point(oracle.goal))):
             chosen.append(boxes[i])
     return chosen[:num]
-
-
-def _is_gone(workspace: Workspace, number: int) -> bool:
-    return workspace.obstacles[number].is_empty
 
 
 def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
@@ -307,69 +295,8 @@ def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
     return [path]
 
 
-def pairs(seed: int, smoke: bool) -> dict[str, Any]:
-    found = load_maps(PAIR_MAPS[:1] if smoke else PAIR_MAPS)
-    return {"rows": [_changed_pairs(name, *each, seed, smoke) for name, each in found.items()]}
-
-
-def _changed_pairs(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bool) -> dict[str, Any]:
-    rng, held, made, around = np.random.default_rng(seed), construct_pairs(workspace), [], []
-    seconds: dict[str, list[float]] = {key: [] for key in ("pairs", "tables", "pairs anew", "tables anew")}
-    broken, infinite, error, largest, listed = 0, 0, 0.0, held.num_bytes, {}
-    for step in range(1, (2 if smoke else CHANGES) + 1):
-        change = _change(rng, VisibilityGraph(workspace, goal), made)
-        around += change.get("add", [workspace.obstacles[i] for i in change.get("remove", ())])
-        first, old = len(workspace.obstacles), held
-        workspace = workspace.with_obstacles(**change)
-        took, held = timed(lambda old=old, workspace=workspace: old.updated(workspace))
-        seconds["pairs"].append(took)
-        seconds["tables"].append(timed(lambda held=held: held.tables)[0])
-        made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
-        largest = max(largest, held.num_bytes)
-        if step % (1 if smoke else EVERY) == 0:
-            alone = Workspace(workspace.bounds, workspace.obstacles, squeeze=workspace.squeeze)
-            took, anew = timed(lambda alone=alone: construct_pairs(alone))
-            seconds["pairs anew"].append(took)
-            seconds["tables anew"].append(timed(lambda anew=anew: anew.tables)[0])
-            listed = {"listed, updated": _listed(held), "listed, anew": _listed(anew)}
-        if step % (2 if smoke else ASKED_EVERY) == 0:
-            x, y = (_points(rng, workspace, around, 1_000 if smoke else PAIRS) for _ in range(2))
-            x, y = x[: len(y)], y[: len(x)]
-            truth = VisibilityGraph(Workspace(workspace.bounds, workspace.obstacles), goal).between(x, y)
-            lower, upper = (np.asarray(each, float) for each in held.bounds(x, y))
-            broken += int(np.count_nonzero((lower > truth) | (upper < truth)))
-            answers = np.asarray(held(x, y), float)
-            infinite += int(np.count_nonzero(np.isfinite(answers) != np.isfinite(truth)))
-            known = np.isfinite(answers) & np.isfinite(truth)
-            error = max(error, float(np.abs(answers[known] - truth[known]).max() / workspace.bounds.width.max()))
-            around = []
-    medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items()}
-    ours, all_ours = medians["ms of the pairs"], medians["ms of the pairs"] + medians["ms of the tables"]
-    anew = medians["ms of the pairs anew"]
-    return {
-        "map": name,
-        "changes": len(seconds["pairs"]),
-        **medians,
-        "times as soon": anew / ours,
-        "times as soon, with tables": (anew + medians["ms of the tables anew"]) / all_ours,
-        "bounds broken": broken,
-        "reached by one alone": infinite,
-        "largest error in widths": error,
-        **listed,
-        "bytes at most": largest,
-    }
-
-
-def _listed(pairs: PairPLR) -> float:
-    """Corners that the leaf of a point of the domain lists, on average."""
-    stored = pairs.stored
-    count = np.bincount(stored.leaf, minlength=len(stored.cells))
-    return float(np.ldexp(1.0, -stored.cells.depth.sum(axis=1)) @ count)
-
-
 SECTIONS = {
     "maps": Section(maps),
-    "pairs": Section(pairs),
     "rivals": Section(rivals),
     "doors": Section(doors, draw_doors),
 }

@@ -5,7 +5,7 @@ they are. What a section does is told in its file in ``experiments/proving/``.
 """
 
 from experiments._runner import Section, run
-from experiments.proving import _astar, _bounds, _degenerate, _leaves, _sizes
+from experiments.proving import _astar, _bounds, _leaves, _sizes
 
 SECTIONS = {
     "sizes": Section(_sizes.sizes),
@@ -15,7 +15,6 @@ SECTIONS = {
     "bounds": Section(_bounds.bounds),
     "widths": Section(_bounds.widths),
     "slivers": Section(_bounds.slivers),
-    "degenerate": Section(_degenerate.degenerate),
 }
 
 if __name__ == "__main__":

@@ -1,12 +1,10 @@
-"""Volumes of voxels, and a large raster: estimates and proven bounds from what is free, beside scikit-fmm.
+"""Volumes of voxels: estimates and proven bounds from what is free, beside scikit-fmm.
 
 ``volumes``: rooms, boxes and a spiral ramp. The truth are paths of ``VoxelGraph(moves=26)``, pulled taut at any
 angle (``_taut_paths.py``). Broken is a lower bound above one of these, and an upper bound below the lower one or the
 straight line. ``files``: larger ones, from files as the Moving AI benchmarks have them; bounds are beside exact
 lengths of 26 moves, which are above the truth (by how much, ``volumes`` tells of its own). Peak memory is that of a
-process that does nothing else, with Python and JAX in it. ``raster``: a cost map, inflated, as a file of 8 KiB. The
-truth is a fast march of twice as many nodes along each axis as there are cells, and what that errs by is told by one
-of as many.
+process that does nothing else, with Python and JAX in it.
 
 Lengths are in voxels; errors and gaps are means, as shares of the mean truth. Seconds are of all cores: of certified
 PLRs with what is compiled for them, of estimates alone those of a second call, and of scikit-fmm with what prepares
@@ -25,18 +23,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 from experiments._made_volumes import Volume, boxes, first_free, rooms, sheets, spiral, write_3dmap
 from experiments._measures import peak_megabytes, relative_error, timed
 from experiments._runner import Section, run
 from experiments._taut_paths import taut_paths
 from experiments.solving._rivals import marched
-from plr_jax import PLR, RasterCost, VoxelGraph, VoxelSpace, load, save, scenes, solve_eikonal
+from plr_jax import PLR, VoxelGraph, VoxelSpace, load, save, scenes, solve_eikonal
 
-POINTS, LENGTHS, PLACES, QUERIES = 2_000, 10_000, 20_000, 1_000_000
+POINTS, LENGTHS, QUERIES = 2_000, 10_000, 1_000_000
 LEAVES, BYTES = 21_000, 32_768  # of volumes, in less than 64 KiB; the bytes are those of estimates alone
-CELLS, CELL, RASTER_LEAVES, RASTER_BYTES = 1_000, 0.05, 160_000, 8_192  # of the raster; a cell's width is in meters
 CERTIFIED = (True, False)
 _ROUNDING = 1e-6
 _TURNS = 5
@@ -155,46 +151,6 @@ def built(path: str, goal: list[float], max_leaves: int | None) -> None:
     print(json.dumps({"seconds": seconds, "MB at most": peak_megabytes()}))
 
 
-def raster(seed: int, smoke: bool) -> dict[str, Any]:
-    cells, rng = 100 if smoke else CELLS, np.random.default_rng(seed)
-    cost = cost_map(rng, cells)
-    space = cost.space()
-    x = cost.domain.lo + cost.domain.width * rng.random((200 if smoke else 3 * PLACES, 2))
-    goal, x = x[space.is_free(x)][0], x[space.is_free(x)][1 : PLACES + 1]
-    limits = {"max_leaves": 1_000 if smoke else RASTER_LEAVES, "max_bytes": RASTER_BYTES}
-
-    def solve() -> PLR:
-        return solve_eikonal(space, goal, cost_map=cost, **limits, certified=False)
-
-    first, (seconds, plr) = timed(solve)[0], timed(solve)
-    of_truth, truth = timed(lambda: marched(space, goal, (2 * cells,) * 2, cost)(x))
-    of_half, half = timed(lambda: marched(space, goal, (cells,) * 2, cost)(x))
-    known = np.isfinite(truth)
-    row = {"cells": f"{cells} x {cells}", "free": float(cost.free.mean()), "points": int(np.count_nonzero(known))}
-    row |= {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "seconds": seconds, "of the first call": first}
-    row |= {"mean cost": float(truth[known].mean()), "error": relative_error(np.asarray(plr(x), float), truth)}
-    row |= {"scikit-fmm of as many nodes": relative_error(half, truth), "its seconds": of_half}
-    return {"rows": [row | {"seconds of the truth": of_truth}]}
-
-
-def cost_map(rng: np.random.Generator, cells: int) -> RasterCost:
-    """Walls with doors, blocks and noise, inflated as a robot's navigation does it."""
-    blocked, room = np.zeros((cells, cells), bool), cells // 5
-    for wall in range(room, cells, room):
-        blocked[wall : wall + 4] = blocked[:, wall : wall + 4] = True
-    for wall in range(room, cells, room):
-        for door in rng.integers(8, room - 48 if room > 60 else 9, (5, 2)) + room * np.arange(5)[:, None]:
-            blocked[wall : wall + 4, door[0] : door[0] + 40] = False
-            blocked[door[1] : door[1] + 40, wall : wall + 4] = False
-    for row, column, height, width in rng.integers((0, 0, 4, 4), (cells, cells, 30, 30), (cells // 5, 4)):
-        blocked[row : row + height, column : column + width] = True
-    noise = ndimage.gaussian_filter(rng.normal(size=blocked.shape), 10)
-    factor = 1 + np.clip(0.3 * noise / noise.std(), 0, 1)
-    bounds = ((0.0, 0.0), (cells * CELL,) * 2)
-    whole = RasterCost(np.where(blocked, np.inf, factor), bounds)
-    return whole.inflated(0.22, inflation_radius=1.5, cost_scaling_factor=3.0)
-
-
 def _reached(graph: VoxelGraph, num: int, rng: np.random.Generator) -> Points:
     """Centers of random voxels, of those that the goal is reached from."""
     center = np.argwhere(graph.free) + 0.5
@@ -207,7 +163,7 @@ def _query_seconds(plr: PLR, x: Any) -> float:
     return float(np.median([timed(lambda: ask(plr, x).block_until_ready())[0] for _ in range(_TURNS)]))
 
 
-SECTIONS = {each.__name__: Section(each) for each in (volumes, files, raster)}
+SECTIONS = {each.__name__: Section(each) for each in (volumes, files)}
 
 if __name__ == "__main__":
     run("volumes", __doc__, SECTIONS)

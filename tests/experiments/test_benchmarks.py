@@ -1,22 +1,16 @@
 """What the benchmark's sections count and sum up, and the rivals that are of our own making."""
 
-import sys
-
-import jax
 import numpy as np
 import pytest
 import shapely
 
-from experiments.benchmarks import _accuracy, _growth, _oracle, _query
+from experiments.benchmarks import _oracle
 from experiments.benchmarks._numba_loop import numba_loop
 from experiments.benchmarks._rivals import (
-    Rival,
     filled_grid,
-    make_all,
     map_coordinates,
     scipy_grid,
     sixteen_bit_grid,
-    triangles,
 )
 from plr_jax import BuildOptions, VisibilityGraph, Workspace, construct, scenes
 
@@ -59,62 +53,6 @@ def test_grids_fill_their_bytes_agree_and_are_filled_in_obstacles_by_the_nearest
     assert inside[0] == np.float32(np.hypot(0.25, 0.1)) and inside[1] in (inside[0], inside[2])
 
 
-def test_triangles_and_linear_trees_count_their_bytes():
-    pytest.importorskip("lightgbm")
-    from experiments.benchmarks._rivals import linear_trees
-
-    x = WALL.sample_free(2_000, 0)
-    rival = triangles(WALL, 1_200, x, EXACT(x))
-    assert rival.num_bytes == 1_200 == 12 * len(rival.answer.points)
-    assert np.isfinite(rival.on_host(WALL.sample_free(1_000, 1))).all()
-    assert linear_trees(x, EXACT(x), 20, 2, 0).num_bytes == 13 + 17 * 40
-
-
-def test_summaries_count_what_is_not_answered_and_what_is_compiled():
-    summary = _accuracy.summary(np.array([1.0, np.nan, 3.0, np.inf]))
-    assert (summary["mean"], summary["max"], summary["points"], summary["unanswered"]) == (2, 3, 4, 2)
-    assert _accuracy.summary(np.array([np.nan]))["mean"] is None
-    function, x = jax.jit(lambda x: x * 3 + 1), np.ones(7)
-    for count in (1, 0):
-        with _query.compilations() as compiled:
-            function(x).block_until_ready()
-        assert len(compiled) == count
-    on_device = Rival(0, jax.jit(lambda x: x[:, 0]), True).on_host(np.array([[0.1, 0.2]]))
-    assert on_device.dtype == np.float64 and np.allclose(on_device, 0.1)
-
-
-def test_what_is_not_installed_is_skipped_with_a_reason():
-    def absent():
-        import no_such_package_as_this  # noqa: F401  # type: ignore[reportMissingImports]
-
-    made, skipped = make_all({"one": lambda: 1, "other": absent})
-    assert made == {"one": 1}
-    assert skipped == {"other": "no_such_package_as_this is not installed: pip install '.[baselines]'"}
-
-
-@pytest.mark.parametrize(
-    ("python", "too_slow", "reason"),
-    [
-        (None, None, "names no Python"),
-        ("/no/such/python", None, "cannot be run"),
-        ("/no/such/python", "a smaller map", "over the limit"),
-        ("exec sleep 60", None, "over the limit"),
-        (f'exec "{sys.executable}" -Sc "raise KeyError(7)"', None, "failed: KeyError"),
-    ],
-)
-def test_it_is_said_why_a_rival_is_absent(python, too_slow, reason, monkeypatch, tmp_path):
-    if python and python.startswith("exec"):
-        (tmp_path / "python").write_text(f"#!/bin/sh\n{python}\n")
-        (tmp_path / "python").chmod(0o755)
-        python = str(tmp_path / "python")
-    monkeypatch.delenv(_oracle.RIVALS_PYTHON, raising=False)
-    if python:
-        monkeypatch.setenv(_oracle.RIVALS_PYTHON, python)
-    monkeypatch.setattr(_oracle, "RIVAL_LIMIT", 1.0)
-    oracle = VisibilityGraph(*_oracle.polygon_field(16, 0))
-    assert reason in _oracle._rival("pyvisgraph", oracle, 0, too_slow)["skipped"]
-
-
 def test_rivals_get_the_same_free_space_and_obstacles_that_overlap_where_ours_touch():
     for workspace in (scenes.maze().workspace, _oracle.polygon_field(40, 0)[0]):
         obstacles = _oracle._obstacles(workspace.free_space, 1.0)
@@ -127,10 +65,3 @@ def test_rivals_get_the_same_free_space_and_obstacles_that_overlap_where_ours_to
     )
     assert len(touching) == 1
     assert sorted(map(tuple, apart[0])) == sorted(map(tuple, np.array(squares[0], float).tolist()))
-
-
-def test_the_exponent_is_that_of_the_upper_half():
-    sizes = [1, 10, 100, 1_000, 10_000]
-    power = _growth.fit(sizes, [5.0, 5.0, *(0.5 * n**1.5 for n in sizes[2:])])
-    assert power == pytest.approx((1.5, 0.5, 100))
-    assert _growth.fit([2, 3, 4, 8], [9, 3, 16, 64])[:2] == pytest.approx((2, 1))

@@ -1,11 +1,10 @@
 """Rivals of a file of all pairs, each at its smallest, and what they are made of by hand."""
 
 import numpy as np
-import pytest
 
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
-from experiments.summaries import _given, _landmarks, _node_tables
+from experiments.summaries import _given, _node_tables
 from experiments.summaries._given import Given
 from plr_jax import VisibilityGraph, Workspace, scenes
 
@@ -41,27 +40,3 @@ def test_grids_interpolate_between_free_nodes():
     assert grid.table_bytes(2, 12) == 16 + 11 + 2 * (8 + -(-73 * 12 // 8))
     finest = _node_tables.finest_grid(SQUARE, lambda grid: grid.table_bytes(1, 8), 1_000)
     assert 800 < finest.table_bytes(1, 8) <= 1_000
-
-
-def test_the_share_of_the_way_between_bounds_is_fitted():
-    lower, upper = np.zeros(50), np.full(50, 2.0)
-    assert _landmarks._best_share(lower, upper, np.full(50, 0.5)) == 0.25
-    assert _landmarks._best_share(lower, upper, lower) == 0
-
-
-def test_errors_are_those_of_each_side():
-    found = compare_summaries.errors(np.array([1.0, 2.5, 2.0, 4.00001]), np.array([1.0, 2.0, 3.0, 4.0]))
-    assert found["mean"] == pytest.approx(1.50001 / 4) and found["largest"] == 1 and found["pairs"] == 4
-    assert found["below"] == found["above"] == 0.25 and found["share"] == pytest.approx(1.50001 / 10)
-
-
-def test_pairs_are_free_exact_and_drawn_once():
-    exact = VisibilityGraph(problem := scenes.maze().workspace, (0.06, 0.07))
-    pairs = _given.draw_pairs(exact, 30, 10, 5)
-    assert len(np.unique(pairs.y, axis=0)) == 30 and len(np.unique(pairs.x, axis=0)) == 300
-    assert problem.is_free(pairs.x).all() and problem.is_free(pairs.y).all()
-    for x, y, distance in zip(*(column[:20] for column in pairs), strict=True):
-        assert BruteDistance(MAZE, y)(x[None])[0] == pytest.approx(distance, abs=1e-9)
-    again, other = _given.draw_pairs(exact, 30, 10, 5), _given.draw_pairs(exact, 30, 10, 6)
-    np.testing.assert_array_equal(again.x, pairs.x)
-    assert not np.isin(other.x, pairs.x).any()

@@ -1,8 +1,4 @@
-import os
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from experiments import _dbcbs
 from plr_jax import DiscRobot, RectangleRobot
@@ -17,8 +13,6 @@ robots:
 - {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
 - {type: unicycle_first_order_0, start: [5, 3, 3.14], goal: [1.0, 3e0, 0]}
 """
-DATA = os.environ.get("PLR_JAX_DATA")
-needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set")
 
 
 def test_a_problem_and_a_solution(tmp_path):
@@ -31,11 +25,3 @@ def test_a_problem_and_a_solution(tmp_path):
     assert problem.workspace.free_space.bounds == (0, 0, 6, 4.5) and problem.workspace.free_space.area == 25
     path.write_text("result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
     np.testing.assert_array_equal(_dbcbs.read_trajectories(path), [[[0, 1, 2], [6, 7, 8]], [[3, 4, 5], [6, 7, 8]]])
-
-
-@needs_data
-def test_problems_that_cannot_be_read_are_refused():
-    with pytest.raises(ValueError, match=r"infeasible_0\.yaml: Robots 0 and 1 overlap at their goals"):
-        _dbcbs.read_problem(Path(DATA, "dbcbs/infeasible_0.yaml"))
-    with pytest.raises(ValueError, match="got 'car1_v0'"):
-        _dbcbs.read_problem(Path(DATA, "dynobench/multirobot/example/swap2_trailer.yaml"))

@@ -84,22 +84,6 @@ def test_lengths_in_camar_are_at_most_those_of_its_round_agents_among_its_round_
         assert (ours[finite] <= truth[finite] + 1e-4).all() and (truth[finite] <= 1.5 * ours[finite]).all()
 
 
-def test_camar_is_shaped_by_that_and_goes_on_into_its_own_wrappers():
-    camar = bridge("camar", "camar")
-    options = {"map_kwargs": {"num_rows": 6, "num_cols": 6, "num_agents": 3}}
-    env, plain = camar.ShapedCamar(discount=0.9, **options), camar.camar_v0(pos_shaping_factor=0.0, **options)
-    _, state = env.reset(jax.random.key(0))
-    actions = jnp.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5]])
-    _, after, reward, _, _ = jax.jit(env.step)(jax.random.key(1), state, actions)
-    *_, without, _, _ = plain.step(jax.random.key(1), state, actions)
-    assert not np.any(state.potential == after.potential)
-    np.testing.assert_allclose((reward - without)[:, 0], 0.9 * after.potential - state.potential, atol=1e-6)
-    many = importlib.import_module("camar.wrappers").OptimisticResetVecEnvWrapper(env, num_envs=4, reset_ratio=2)
-    _, states = many.reset(jax.random.key(0))
-    _, states, rewards, _, _ = many.step(jax.random.key(1), states, jnp.zeros((4, 3, 2)))
-    assert rewards.shape == (4, 3, 1) and np.isfinite(rewards).all() and states.potential.shape == (4, 3)
-
-
 def test_minimax_is_told_the_steps_that_breadth_first_search_finds():
     """Its own are right where cell (0, 0), from which its flood fill goes on when it is done, is in the same part."""
     maze = bridge("minimax", "minimax")
@@ -122,19 +106,6 @@ def test_minimax_is_told_the_steps_that_breadth_first_search_finds():
         kinds.add((bool(is_filled), bool(np.isfinite(truth)), bool(length == metrics["shortest_path_length"])))
     require_version("minimax-lib", "0.2.0")
     assert {(True, True, True), (True, False, False), (False, True, False)} <= kinds
-
-
-def test_minimax_is_paid_for_steps_on_the_way():
-    maze = bridge("minimax", "minimax")
-    env, plain = maze.ShapedMaze(discount=0.9, weight=1.0), maze.Maze()
-    _, state = env.reset_env(jax.random.key(1))
-    forward = jnp.array(2)
-    _, after, reward, done, _ = env.step_env(jax.random.key(0), state, forward)
-    *_, without, _, _ = plain.step_env(jax.random.key(0), state, forward)
-    to_goal = dijkstra(~np.asarray(state.wall_map), tuple(np.asarray(state.goal_pos, int)[::-1]), 4)
-    before, then = (to_goal[tuple(np.asarray(each.agent_pos, int)[::-1])] for each in (state, after))
-    assert not done and before != then
-    assert reward - without == pytest.approx(before - 0.9 * then, abs=1e-5)
 
 
 def check_maze(pairs, free, center, unit):
@@ -185,15 +156,3 @@ def test_mazes_of_jaxgcrl(layout):
     jaxgcrl = bridge("jaxgcrl", "jaxgcrl")
     free = np.array([[cell != 1 for cell in row] for row in getattr(jaxgcrl.ant_maze, layout.upper())])
     check_maze(jaxgcrl.maze_distance(layout), free, lambda cell: 4.0 * np.asarray(cell), 4.0)
-
-
-def test_jaxgcrl_is_shaped_by_them():
-    jaxgcrl = bridge("jaxgcrl", "jaxgcrl")
-    pairs = jaxgcrl.maze_distance("u_maze")
-    plain = importlib.import_module("jaxgcrl.envs.simple_maze").SimpleMaze(backend="spring")
-    env = jaxgcrl.ShapedMaze(plain, pairs, discount=0.9)
-    state = jax.jit(env.reset)(jax.random.key(0))
-    action = jnp.ones(env.action_size)
-    after, without = jax.jit(env.step)(state, action), jax.jit(plain.step)(state, action)
-    distances = [float(pairs(each.obs[:2], each.obs[-2:])) for each in (state, after)]
-    assert after.reward - without.reward == pytest.approx(distances[0] - 0.9 * distances[1], abs=1e-4)

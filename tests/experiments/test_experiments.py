@@ -8,28 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments import readme_tables, teams
-from plr_jax import BLOptions, scenes
+from experiments import readme_tables
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "experiments" / "results"
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
-SECTIONED = (
-    "benchmark",
-    "proofs",
-    "solve",
-    "compare_summaries",
-    "teams",
-    "portable",
-    "grid_distance",
-    "shaping",
-    "costs",
-    "volumes",
-    "living",
-    "page",
-    "lifelong",
-    "scale",
-)
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
     "fig1": (),
@@ -62,6 +45,7 @@ def run_script(monkeypatch):
     return run
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", FAMILIES)
 def test_an_experiment_of_each_family_runs_at_its_smallest(name, run_script, tmp_path):
     run_script(name, "--smoke", "--output", tmp_path, *FAMILIES[name])
@@ -69,15 +53,6 @@ def test_an_experiment_of_each_family_runs_at_its_smallest(name, run_script, tmp
     assert record["smoke"] and record["experiment"] == name
     assert {"versions", "device", "cores", "dtype", "seed"} <= record.keys()
     assert set(FAMILIES[name][1:]) <= record["results"].keys() and all(record["results"].values())
-
-
-def test_a_section_measured_again_leaves_the_others_as_they_are(run_script, tmp_path):
-    old = json.loads((RESULTS / "compare_summaries.json").read_text())
-    (tmp_path / "compare_summaries.json").write_text(json.dumps(old))
-    run_script("compare_summaries", "--smoke", "--output", tmp_path, "--only", "maze_straight_line")
-    new = json.loads((tmp_path / "compare_summaries.json").read_text())["results"]
-    assert list(new) == list(old["results"])
-    assert [name for name in new if new[name] != old["results"][name]] == ["maze_straight_line"]
 
 
 def test_pictures_are_drawn_from_committed_results(run_script, tmp_path):
@@ -91,8 +66,7 @@ def test_every_script_has_results_of_a_full_run_and_every_results_file_its_scrip
     for name in SCRIPTS:
         record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
         assert record["experiment"] == name and not record["smoke"]
-        assert hasattr(script, "SECTIONS") == (name in SECTIONED)
-        assert name not in SECTIONED or record["results"].keys() <= script.SECTIONS.keys()
+        assert record["results"].keys() <= getattr(script, "SECTIONS", record["results"]).keys()
     page = (ROOT / "experiments" / "README.md").read_text()
     for path in RESULTS.iterdir():
         assert path.stem in SCRIPTS if path.suffix == ".json" else f"](results/{path.name})" in page, path.name
@@ -115,22 +89,3 @@ def test_results_with_a_path_that_is_not_valid_are_refused():
     readme_tables.require_valid("race", {"trials": [{"valid": None}, {"improved_valid": [True, True]}]})
     with pytest.raises(ValueError, match=r"race\.trials\.0\.valid: a path is not valid"):
         readme_tables.require_valid("race", {"trials": [{"valid": False}]})
-
-
-def test_runs_of_teams_that_found_no_path_are_counted():
-    problem = scenes.tangle()
-    found, failed = (teams.planned(problem, 1.0, BLOptions(time_limit=seconds)) for seconds in (60.0, 1e-9))
-    assert (found["failures"], failed["failures"], failed["first"]) == (0, 1, None)
-    row = {"scene": "crowd", **teams.middle([found, failed])}
-    assert row["failures"] == 1 and row["runs"] == 2 and row["valid"] and row["ratio"] == found["ratio"]
-    assert row["status"] == "SOLVED, TIME_LIMIT"
-    none = {"scene": "crowd", **teams.middle([failed, failed])}
-    assert none["valid"] is None and none["ratio"] is None
-
-
-def test_two_teams_share_a_workspace_but_no_starts_and_goals():
-    for scene, size in (("door", 4), ("crowd", 6), ("four_rooms", 2)):
-        known, problem = teams.two_teams(scene, size, 0)
-        assert known.workspace is problem.workspace and known.robots == problem.robots
-        for ours, theirs in ((problem.starts, known.starts), (problem.goals, known.goals)):
-            assert not (ours == theirs).all(axis=1).any()

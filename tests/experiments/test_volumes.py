@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from experiments import _made_volumes as made
 from experiments._taut_paths import taut_paths
-from plr_jax import VoxelGraph, VoxelSpace, scenes
+from plr_jax import VoxelGraph, VoxelSpace
 
 GOAL = np.array([3.3, 16.2, 17.1])
 WINDOW = ((5, 7), (6, 9))  # along y and z, in a wall from x = 10 on
@@ -52,18 +52,3 @@ def test_paths_are_free_and_lead_from_start_to_goal():
     assert np.allclose(np.bincount(paths.path[:-1], legs, len(x)), paths.lengths)
     assert (paths.lengths <= graph(x) + 1e-9).all()
     assert (paths.lengths >= np.linalg.norm(x - goal, axis=1) - 1e-9).all()
-
-
-def test_volumes_are_as_large_as_asked_for_and_files_of_them_are_read_back(tmp_path):
-    rng = np.random.default_rng(0)
-    volumes = [
-        made.rooms(rng, (16, 16, 8), 8, 1.0),
-        made.boxes(rng, (12, 10, 8), 4, 2, 5),
-        made.spiral(16, 8),
-        made.sheets(rng, (16, 12, 8), 2),
-    ]
-    for free in volumes:
-        assert 0.3 < free.mean() < 1
-        assert free[tuple(made.first_free(free))]
-        made.write_3dmap(tmp_path / "volume.3dmap", free)
-        assert np.array_equal(scenes.read_volume(tmp_path / "volume.3dmap"), free)
