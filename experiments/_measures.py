@@ -23,6 +23,17 @@ def relative_error(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.abs(found - truth)[known].mean() / truth[known].mean())
 
 
+def relative_errors(found: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
+    """Mean and largest error over the mean truth, and the share of points that get no answer."""
+    error = np.abs(found - truth) / truth.mean()
+    known = np.isfinite(error)
+    return {
+        "mean": float(error[known].mean()) if known.any() else None,
+        "largest": float(error[known].max()) if known.any() else None,
+        "unanswered": float(1 - known.mean()),
+    }
+
+
 def peak_megabytes() -> float:
     """The most memory that this process had; ``getrusage`` counts what the one that started it had."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text("ascii").splitlines())

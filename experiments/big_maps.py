@@ -6,12 +6,12 @@ triangles, visibility polygons, the graph and the distances of its vertices are 
 found once for a goal. Seconds are those of the processor, medians of several runs, each on a workspace of its own.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from experiments._measures import timed
 from experiments._runner import run
 from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._oracle import polygon_field
@@ -61,24 +61,18 @@ def voids(num_vertices: int, seed: int) -> Workspace:
 def measure(make: Callable[[], Workspace], num_runs: int, num_points: int, seed: int) -> dict[str, Any]:
     seconds = []
     for _ in range(num_runs):
-        to_workspace, workspace = _seconds(make)
+        to_workspace, workspace = timed(make)
         x = workspace.sample_free(num_points + 1, seed)
         workspace.is_free(x[:1])
-        to_oracle, oracle = _seconds(lambda workspace=workspace, x=x: VisibilityGraph(workspace, x[0]))
-        to_first, _ = _seconds(lambda oracle=oracle, x=x: oracle(x[:1]))
-        to_batch, _ = _seconds(lambda oracle=oracle, x=x: oracle(x[1:]))
+        to_oracle, oracle = timed(lambda workspace=workspace, x=x: VisibilityGraph(workspace, x[0]))
+        to_first, _ = timed(lambda oracle=oracle, x=x: oracle(x[:1]))
+        to_batch, _ = timed(lambda oracle=oracle, x=x: oracle(x[1:]))
         seconds.append((to_workspace, to_oracle, to_first, to_batch / num_points * 1e6))
     names = "seconds_workspace", "seconds_prepare", "seconds_first", "microseconds_a_point"
     graph = oracle.graph
     sizes = {"corners": graph.num_vertices - 1, "edges": graph.num_edges, "bytes": oracle.num_bytes}
     medians = dict(zip(names, np.median(seconds, axis=0).tolist(), strict=True))
     return {"vertices": len(workspace.boundary.vertices), **sizes, **medians}
-
-
-def _seconds(call: Callable[[], Any]) -> tuple[float, Any]:
-    start = time.process_time()
-    result = call()
-    return time.process_time() - start, result
 
 
 if __name__ == "__main__":

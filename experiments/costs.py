@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy import ndimage
 from scipy.interpolate import RegularGridInterpolator
 
+from experiments._c_headers import median_seconds
 from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
 from plr_jax import CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
@@ -94,10 +95,6 @@ def _space() -> PlaneSpace:
     return PlaneSpace(Workspace(BOUNDS, [WALL]))
 
 
-def _cpu_seconds(call: Callable[[], Any], turns: int) -> float:
-    return float(np.median([timed(call)[0] for _ in range(turns)]))
-
-
 def estimates(seed: int, smoke: bool) -> dict[str, Any]:
     space, rows, fine = _space(), [], 200 if smoke else _FINE
     maps = smooth() | rasters(seed)
@@ -116,10 +113,10 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
                     "map": name,
                     "cells": plr.num_leaves,
                     "error": relative_error(np.asarray(plr(x), float), truth),
-                    "seconds": _cpu_seconds(build, _TURNS),
+                    "seconds": median_seconds(build, _TURNS),
                     "nodes of scikit-fmm": (nodes + 1) * (2 * nodes + 1),
                     "its error": relative_error(rival(x), truth),
-                    "its seconds": _cpu_seconds(march, _TURNS),
+                    "its seconds": median_seconds(march, _TURNS),
                     "of the truth": relative_error(half, truth),
                 }
             )

@@ -32,8 +32,14 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         row, built = _measure(name, num_goals, max_bytes, num_alone, seed)
         rows.append(row)
         plrs = plrs or built
-    stacked = _stack_times(plrs, num_points, seed)
-    return {"rows": rows, "stack": stacked}
+    rng, domain = np.random.default_rng(POINT_SEED + seed), plrs[0].domain
+    x = jnp.asarray(rng.uniform(domain.lo, domain.hi, (num_points, 2)).astype(np.float32))
+    index = jnp.asarray(rng.integers(0, len(plrs), num_points).astype(np.int32))
+    one, f = plrs[0], stack(plrs)
+    seconds = interleaved({"one": lambda: one(x), "stack": lambda: f(index, x)}, RUNS)
+    medians = {kind: each.median for kind, each in seconds.items()}
+    ratio = medians["stack"] / medians["one"]
+    return {"rows": rows, "stack": {"plrs": len(plrs), "points": num_points, **medians, "ratio": ratio}}
 
 
 def _measure(
@@ -68,17 +74,6 @@ def _measure(
 def _errors(plrs: list[PLR], oracles: list[VisibilityGraph], x: np.ndarray) -> dict[str, float]:
     errors = [np.abs(np.asarray(plr(x)) - oracle(x)) for plr, oracle in zip(plrs, oracles, strict=False)]
     return {"mean": float(np.mean(errors)), "max": float(np.max(errors))}
-
-
-def _stack_times(plrs: list[PLR], num_points: int, seed: int) -> dict[str, Any]:
-    rng = np.random.default_rng(POINT_SEED + seed)
-    lo, hi = plrs[0].domain.lo, plrs[0].domain.hi
-    x = jnp.asarray(rng.uniform(lo, hi, (num_points, 2)).astype(np.float32))
-    index = jnp.asarray(rng.integers(0, len(plrs), num_points).astype(np.int32))
-    one, f = plrs[0], stack(plrs)
-    seconds = interleaved({"one": lambda: one(x), "stack": lambda: f(index, x)}, RUNS)
-    medians = {kind: each.median for kind, each in seconds.items()}
-    return {"plrs": len(plrs), "points": num_points, **medians, "ratio": medians["stack"] / medians["one"]}
 
 
 if __name__ == "__main__":

@@ -254,7 +254,7 @@ def _rollouts(
 
 
 def differences(seed: int, smoke: bool) -> dict[str, Any]:
-    """From breadth-first search, SciPy's Dijkstra and ``VisibilityGraph``; of gradients from finite differences."""
+    """From breadth-first search, SciPy's Dijkstra and ``VisibilityGraph``."""
     many, some = (8, 4) if smoke else (10_000, 1_000)
     free, goals = random_levels(many, 11, seed + 1)
     four = np.asarray(jax.jit(jax.vmap(partial(cells, 4)))(free, goals))
@@ -277,7 +277,6 @@ def differences(seed: int, smoke: bool) -> dict[str, Any]:
         "moves=4, cells that differ": int(np.sum(four != breadth_first(free, goals))),
         "moves=8, largest relative difference": _largest(eight, np.stack(octile), relative=True),
         "any-angle, largest difference": _largest(ours, np.stack(truth)),
-        **gradients(free[:some], goals[:some], seed),
     }
 
 
@@ -300,32 +299,6 @@ def _largest(ours: np.ndarray, truth: np.ndarray, relative: bool = False) -> flo
     with np.errstate(invalid="ignore"):
         gap = np.abs(ours - truth) / (np.maximum(truth, 1) if relative else 1)
     return float(np.max(np.where(np.isinf(ours) & np.isinf(truth), 0, np.nan_to_num(gap, nan=np.inf))))
-
-
-def gradients(free: Levels, goals: Goals, seed: int) -> dict[str, Any]:
-    """Of any-angle distances in ``x`` and in the goal, where second differences say that they are smooth."""
-    step = 1e-5
-    rng = np.random.default_rng(seed)
-    with jax.enable_x64(True):
-        goal = goals.astype(float) + rng.uniform(-0.4, 0.4, goals.shape)
-        x = np.stack([rng.choice(np.argwhere(level))[::-1] for level in free]) + rng.uniform(0.1, 0.9, goals.shape)
-        value = jax.jit(jax.vmap(lambda free, x, goal: grid_distance(free, goal)(x)))
-        slope = jax.jit(jax.vmap(jax.grad(lambda free, x, goal: grid_distance(free, goal)(x), argnums=(1, 2))))
-        found, ours = np.asarray(value(free, x, goal)), slope(free, x, goal)
-        worst, smooth = 0.0, 0
-        for shift in np.eye(2) * step:
-            for end, (dx, dgoal) in enumerate(((shift, 0 * shift), (0 * shift, shift))):
-                ahead, behind = (np.asarray(value(free, x + s * dx, goal + s * dgoal)) for s in (1, -1))
-                with np.errstate(invalid="ignore"):
-                    is_smooth = np.abs(ahead + behind - 2 * found) < 1e-3 * step
-                    gap = np.abs((ahead - behind) / (2 * step) - np.asarray(ours[end]) @ shift / step)
-                worst, smooth = max(worst, float(gap[is_smooth].max(initial=0))), smooth + int(is_smooth.sum())
-    return {
-        "gradient, largest difference": worst,
-        "gradient, smooth components": smooth,
-        "gradient, components": 4 * len(free),
-        "gradient, NaN": int(sum(np.isnan(each).sum() for each in ours)),
-    }
 
 
 SECTIONS = {

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from experiments._c_headers import CompiledHeader, compiled_header, median_seconds, object_for_size, section_bytes
+from experiments._measures import timed
 from experiments._runner import Section, run
 from plr_jax import PLR, Box, Euclidean, ReedsShepp, VisibilityGraph, construct, save, scenes
 
@@ -171,7 +172,7 @@ def car(seed: int, smoke: bool) -> dict[str, Any]:
     exact, found = oracle(x.astype(np.float64)), []
     with tempfile.TemporaryDirectory() as folder:
         for max_bytes in CAR_BYTES[:1] if smoke else CAR_BYTES:
-            seconds, plr = _timed(lambda m=max_bytes: construct(oracle, domain, leaf="continuous", max_bytes=m))
+            seconds, plr = timed(lambda m=max_bytes: construct(oracle, domain, leaf="continuous", max_bytes=m))
             header = compiled_header(plr, Path(folder) / f"{max_bytes}")
             sizes = section_bytes(object_for_size(plr, Path(folder) / f"{max_bytes}"))
             error = _errors(header(x), exact)
@@ -186,7 +187,7 @@ def car(seed: int, smoke: bool) -> dict[str, Any]:
                 }
             )
             print(found[-1], flush=True)
-        seconds, lengths = _timed(lambda: _table(oracle, columns, rows, turns))
+        seconds, lengths = timed(lambda: _table(oracle, columns, rows, turns))
         found.append({"what": f"table {columns} x {rows} x {turns}", "file": lengths.nbytes, "bytes": lengths.nbytes})
         found[-1] |= {"seconds": seconds, **_looked_up(lengths, x, exact, Path(folder) / "table")}
         print(found[-1], flush=True)
@@ -214,12 +215,6 @@ def _looked_up(lengths: np.ndarray, x: np.ndarray, exact: np.ndarray, folder: Pa
 def _errors(answer: np.ndarray, exact: np.ndarray) -> dict[str, float]:
     error = np.abs(answer - exact)
     return {"mean": float(error.mean()), "largest": float(error.max())}
-
-
-def _timed(call) -> tuple[float, Any]:
-    began = time.process_time()
-    result = call()
-    return time.process_time() - began, result
 
 
 SECTIONS = {"readers": Section(readers), "query": Section(queries), "car": Section(car)}

@@ -13,7 +13,6 @@ SECTIONS = {
     "astar": Section(_astar.measure),
     "leaves": Section(_leaves.measure, _leaves.draw),
     "bounds": Section(_bounds.bounds),
-    "widths": Section(_bounds.widths),
     "slivers": Section(_bounds.slivers),
 }
 

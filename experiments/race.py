@@ -83,19 +83,15 @@ def race(name: str, seed: int, largest_limit: float, improve_seconds: float) -> 
     ours = ours_of(problem, improve_seconds)
     limit = float(np.clip(LIMIT_FACTOR * ours["seconds"], min(LEAST_LIMIT, largest_limit), largest_limit))
     limit = max(limit, LEAST_FACTOR * ours["seconds"])
+    planners = PLANNERS if problem.dof == 2 else PLANNERS[:-1]
     return {
         "scene": name,
         "seed": seed,
         "lower_bound": round(bound, 6),
         "limit": round(limit, 3),
         "ours": ours,
-        "ompl": {planner: trial(problem, planner, seed, limit, ours["cost"]) for planner in planners_for(problem)},
+        "ompl": {planner: trial(problem, planner, seed, limit, ours["cost"]) for planner in planners},
     }
-
-
-def planners_for(problem: Problem) -> tuple[str, ...]:
-    """The planners that take a problem."""
-    return PLANNERS if problem.dof == 2 else PLANNERS[:-1]
 
 
 def ours_of(problem: Problem, improve_seconds: float) -> dict[str, Any]:
@@ -177,21 +173,11 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def by_scene(results: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    names = dict.fromkeys(entry["scene"] for entry in results["trials"])
-    return {name: [entry for entry in results["trials"] if entry["scene"] == name] for name in names}
-
-
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """Cost over time."""
-    figure = draw_figure(results)
-    figure.savefig(output / "race.png", dpi=150)
-    return [output / "race.png"]
-
-
-def draw_figure(results: dict[str, Any]) -> Figure:
     """Cost over time, one panel a scene, one line a planner and variant."""
-    groups = by_scene(results)
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for entry in results["trials"]:
+        groups.setdefault(entry["scene"], []).append(entry)
     columns = min(_COLUMNS, len(groups))
     rows = -(-len(groups) // columns)
     figure = Figure(figsize=(2.75 * columns + 0.4, 2.3 * rows + 0.9), layout="constrained", facecolor="white")
@@ -210,7 +196,8 @@ def draw_figure(results: dict[str, Any]) -> Figure:
     handles = [Line2D([], [], color=color, lw=width) for color, _, width in _STYLES.values()]
     labels = [label for _, label, _ in _STYLES.values()]
     figure.legend(handles, labels, loc="outside lower center", ncols=columns + 1, frameon=False, fontsize=9)
-    return figure
+    figure.savefig(output / "race.png", dpi=150)
+    return [output / "race.png"]
 
 
 def style_panel(ax: Axes) -> None:

@@ -134,16 +134,12 @@ def value_of(agent: Any, known: Array) -> Array:
     return forward(agent["value"], known)[..., 0]
 
 
-def known_to_critic(state: State, is_told: bool) -> Array:
-    return jnp.append(observe(state), potential(state) if is_told else 0.0)
-
-
 # Proximal policy optimization (Schulman et al., 2017).
 
 
 def roll_out(agent: Any, states: State, key: Array, kind: Kind, steps: int) -> tuple[State, Batch]:
     """Steps of all environments; where an episode ends the next one begins."""
-    known_to = jax.vmap(partial(known_to_critic, is_told=kind.is_told))
+    known_to = jax.vmap(lambda state: jnp.append(observe(state), potential(state) if kind.is_told else 0.0))
 
     def advance(states, key):
         act_key, reset_key = jax.random.split(key)

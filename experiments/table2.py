@@ -111,7 +111,7 @@ def measure(problem: Problem, built: Built, bound: float, options: BLOptions) ->
         "seconds": round(seconds, 5),
         "seconds_oracle": round(built.oracle_seconds, 4),
         "seconds_plr": round(built.plr_seconds, 4),
-        **{f"seconds_{phase}": round(value, 5) for phase, value in with_phases(solution).items()},
+        **{f"seconds_{phase}": round(solution.stats.seconds.get(phase, 0.0), 5) for phase in PHASES},
     }
 
 
@@ -133,11 +133,6 @@ def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any
         "first_path_seconds": None if first_seconds is None else round(first_seconds, 5),
         "first_path_cost": None if first_cost is None else round(first_cost, 6),
     }
-
-
-def with_phases(solution: Solution) -> dict[str, float]:
-    """Seconds of every phase of BL, 0 of one that was not reached."""
-    return {phase: solution.stats.seconds.get(phase, 0.0) for phase in PHASES}
 
 
 if __name__ == "__main__":

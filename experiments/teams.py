@@ -171,7 +171,10 @@ def den520d(seed: int, smoke: bool) -> dict[str, Any]:
     graph = None if smoke else VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
     for instance, sizes in {1: (2,)}.items() if smoke else dict.fromkeys(INSTANCES, SIZES).items():
         starts, goals = agents_of(instances, instance)
-        alone = distances(graph, starts[: max(sizes)], goals[: max(sizes)])
+        alone = [
+            np.linalg.norm(goal - start) if graph is None else graph.with_goal(goal)(start[None])[0]
+            for start, goal in zip(starts[: max(sizes)], goals[: max(sizes)], strict=True)
+        ]
         for size in sizes:
             workspace = scenes.read_map(file)
             began = time.perf_counter()
@@ -183,15 +186,6 @@ def den520d(seed: int, smoke: bool) -> dict[str, Any]:
                     measured[key] = round(measured[key] + before, 4)
             rows.append({"scene": f"den520d {instance}", "problem_seconds": round(before, 4), **measured})
     return {"rows": rows}
-
-
-def distances(
-    graph: VisibilityGraph | None, starts: Float[np.ndarray, "n 2"], goals: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n"]:
-    """How far each agent has to go, straight if there is no graph."""
-    if graph is None:
-        return np.linalg.norm(goals - starts, axis=1)
-    return np.array([graph.with_goal(goal)(start[None])[0] for start, goal in zip(starts, goals, strict=True)])
 
 
 def agents_of(instances: Path, instance: int) -> list[Float[np.ndarray, "agents 2"]]:

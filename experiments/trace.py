@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from experiments._runner import run
 from experiments.benchmarks._maps import load_maps
-from plr_jax import Traces, TraceStatus, VisibilityGraph, Workspace, construct, trace
+from plr_jax import TraceStatus, VisibilityGraph, construct, trace
 
 START_SEED = 0
 SIZES = {"maze": [512, 1_024], "thin_maze": [512, 1_024], "arena": [2_048, 4_096], "den312d": [4_096]}
@@ -35,7 +35,11 @@ def _measure(exact: VisibilityGraph, starts: Float[np.ndarray, "n 2"], max_bytes
     plr = construct(exact, exact.workspace.bounds, leaf="cone", max_bytes=max_bytes)
     traces, distance = trace(plr, starts), exact(starts)
     error = np.abs(np.asarray(plr(starts)) - distance)
-    is_clear = _clear(traces, exact.workspace)
+    # A path is clear if it is nowhere deeper inside walls than ``DEPTH``.
+    grown = exact.workspace.free_space.buffer(DEPTH * exact.workspace.bounds.width.max(), join_style="round")
+    shapely.prepare(grown)
+    paths: Any = shapely.linestrings(traces.paths)
+    is_clear = shapely.covers(grown, paths)
     ratio = (traces.lengths / distance)[traces.arrived & is_clear & np.isfinite(distance) & (distance > 0)]
     return {
         "bytes": plr.num_bytes,
@@ -47,14 +51,6 @@ def _measure(exact: VisibilityGraph, starts: Float[np.ndarray, "n 2"], max_bytes
         "ratio": {"mean": float(ratio.mean()), "max": float(ratio.max())},
         "error": {"mean": float(error.mean()), "max": float(error.max())},
     }
-
-
-def _clear(traces: Traces, workspace: Workspace) -> Bool[np.ndarray, "n"]:
-    """Which paths are nowhere deeper inside walls than ``DEPTH``."""
-    grown = workspace.free_space.buffer(DEPTH * workspace.bounds.width.max(), join_style="round")
-    shapely.prepare(grown)
-    paths: Any = shapely.linestrings(traces.paths)
-    return shapely.covers(grown, paths)
 
 
 if __name__ == "__main__":

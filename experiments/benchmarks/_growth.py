@@ -8,7 +8,7 @@ measured range: below it, costs that do not grow at all often hide those that do
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,12 +76,10 @@ def _queries(plrs: Sequence[PLR], num_points: Sequence[int], seed: int, smoke: b
     """Seconds of a query of each PLR, with so many points each, which are on the device."""
     rng = np.random.default_rng(_POINT_SEED + seed)
     points = [jnp.asarray(rng.random((n, plr.dim)), jnp.float32) for plr, n in zip(plrs, num_points, strict=True)]
-    calls = {str(k): _call(plr, x) for k, (plr, x) in enumerate(zip(plrs, points, strict=True))}
+    calls: dict[str, Callable[[], Any]] = {
+        str(k): partial(plr, x) for k, (plr, x) in enumerate(zip(plrs, points, strict=True))
+    }
     return [seconds.median for seconds in interleaved(calls, 3 if smoke else NUM_TURNS).values()]
-
-
-def _call(function: Callable[[Any], Any], x: Any) -> Callable[[], Any]:
-    return lambda: function(x)
 
 
 def _query_by_points(seed: int, smoke: bool) -> Curve:
@@ -113,8 +111,12 @@ def _prepare_by_vertices(seed: int, smoke: bool) -> Curve:
 
 
 def _oracle_by_vertices(seed: int, smoke: bool) -> Curve:
-    sizes = _num_vertices(smoke)
-    return sizes, [_oracle_seconds(n, 200 if smoke else 10_000, seed) for n in sizes]
+    sizes, seconds = _num_vertices(smoke), []
+    for n in sizes:
+        _, oracle = _prepared(n, seed)
+        x = oracle.workspace.sample_free(200 if smoke else 10_000, _POINT_SEED + seed)
+        seconds.append(median_seconds(partial(oracle, x), NUM_RUNS))
+    return sizes, seconds
 
 
 @cache
@@ -123,11 +125,6 @@ def _prepared(num_vertices: int, seed: int) -> tuple[float, VisibilityGraph]:
     workspace, goal = polygon_field(num_vertices, seed)
     runs = [prepared(workspace, goal) for _ in range(1 if num_vertices > _MANY_VERTICES else NUM_RUNS)]
     return float(np.median([to_oracle for _, to_oracle, _ in runs])), runs[0][2]
-
-
-def _oracle_seconds(num_vertices: int, num_points: int, seed: int) -> float:
-    _, oracle = _prepared(num_vertices, seed)
-    return median_seconds(_call(oracle, oracle.workspace.sample_free(num_points, _POINT_SEED + seed)), NUM_RUNS)
 
 
 def _num_vertices(smoke: bool) -> list[int]:
@@ -144,7 +141,7 @@ def _heuristic_by_robots(seed: int, smoke: bool) -> Curve:
         q = problem.workspace.sample_free(n * robots, _POINT_SEED + seed).reshape(n, robots, 2)
         # Each robot's PLR has arrays of its own, also where robots are as many as twice the team's.
         team = [jax.tree.map(jnp.copy, plrs[i % len(plrs)]) for i in range(robots)]
-        calls[str(robots)] = _call(sum_of_distances(team), q)
+        calls[str(robots)] = partial(sum_of_distances(team), q)
     return sizes, [seconds.median for seconds in interleaved(calls, 3 if smoke else NUM_TURNS).values()]
 
 

@@ -99,7 +99,7 @@ def _map(name: str, seed: int, smoke: bool) -> Map | None:
 def prepared(workspace: Workspace, goal: Float[np.ndarray, "2"]) -> tuple[float, float, VisibilityGraph]:
     """Seconds to a workspace, seconds from there to its oracle, and the oracle."""
     components = [
-        {"outer": _ring(part.exterior), "holes": [_ring(hole) for hole in part.interiors]}
+        {"outer": ring_of(part.exterior), "holes": [ring_of(hole) for hole in part.interiors]}
         for part in shapely.get_parts(workspace.free_space)
     ]
     to_workspace, new = _seconds(lambda: Workspace.from_polygons(components, squeeze=workspace.squeeze))
@@ -176,9 +176,9 @@ def _polygons(workspace: Workspace, goal: Float[np.ndarray, "2"]) -> dict[str, A
     parts = shapely.orient_polygons(shapely.get_parts(free))
     part = min(parts, key=lambda part: part.distance(shapely.Point(goal)))
     return {
-        "outer": _ring(part.exterior),
-        "holes": [_ring(hole) for hole in part.interiors],
-        "obstacles": [_ring(obstacle.exterior) for obstacle in _obstacles(part, width)],
+        "outer": ring_of(part.exterior),
+        "holes": [ring_of(hole) for hole in part.interiors],
+        "obstacles": [ring_of(obstacle.exterior) for obstacle in _obstacles(part, width)],
     }
 
 
@@ -194,5 +194,5 @@ def _obstacles(free: Any, width: float) -> list[Any]:
     return list(shapely.get_parts(shapely.difference(shapely.difference(frame, free), slit)))
 
 
-def _ring(ring: Any) -> list[list[float]]:
+def ring_of(ring: Any) -> list[list[float]]:
     return shapely.get_coordinates(ring)[:-1].tolist()

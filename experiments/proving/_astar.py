@@ -91,20 +91,16 @@ def _problems(
         heuristics[f"{leaf}, lower, and straight line"] = np.maximum(lower, heuristics["straight line"])
         heuristics[f"{leaf} itself"] = np.asarray(plr(grid.points), float)
     heuristics["exact"] = exact(grid.points)
-    rows = []
+    rows, reached = [], np.isfinite(shortest)
     for heuristic, values in heuristics.items():
+        # By how much the heuristic is above the grid's distances at most, as a share of the largest.
+        over = float((values - shortest)[reached].max() / shortest[reached].max())
         estimate = values.tolist()
         for start in starts.tolist():
             cost, expanded, nodes = a_star(grid, start, goal, estimate)
             found = {"ratio": cost / float(shortest[start]), "expanded": expanded, "nodes": nodes}
-            rows.append({"heuristic": heuristic, **found, "over": _largest_over(values, shortest)})
+            rows.append({"heuristic": heuristic, **found, "over": over})
     return rows
-
-
-def _largest_over(values: Float[np.ndarray, "nodes"], shortest: Float[np.ndarray, "nodes"]) -> float:
-    """By how much a heuristic is above the grid's distances at most, as a share of the largest."""
-    reached = np.isfinite(shortest)
-    return float((values - shortest)[reached].max() / shortest[reached].max())
 
 
 def a_star(grid: Grid, start: int, goal: int, estimate: list[float]) -> tuple[float, int, int]:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
-from experiments.benchmarks._maps import load_map, load_maps
+from experiments.benchmarks._maps import load_map
 from experiments.proving._sizes import LEAVES
 from plr_jax import PLR, DistanceFn, VisibilityGraph, Workspace, construct
 
@@ -195,39 +195,6 @@ def _count(
         point = {"x": x[at].tolist(), "violation": bool(is_exact), "query": how}
         point["distance"] = float(distance[at])
         row["examples"].append(point | {"bounds": np.nan_to_num([lower[at], upper[at]]).tolist()})
-
-
-# How wide bounds are in small files of cones, beside errors, and what the proof costs: errors over those without one.
-
-WIDTH_MAPS, WIDTH_BUDGET, WIDTH_POINTS = ("arena", "den520d"), 8_192, 20_000
-
-
-def widths(seed: int, smoke: bool) -> dict[str, Any]:
-    rows = []
-    for name, (workspace, goal) in load_maps(["maze"] if smoke else WIDTH_MAPS).items():
-        oracle = VisibilityGraph(workspace, goal)
-        x = workspace.sample_free(WIDTH_POINTS, seed)
-        distance = oracle(x)
-        x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-        proven, bare = (
-            construct(oracle, workspace.bounds, leaf="cone", max_bytes=WIDTH_BUDGET, certified=certified, seed=seed)
-            for certified in (True, False)
-        )
-        lower, upper = (np.asarray(bound, float) for bound in proven.bounds(x))
-        mean, mean_bare = (float(np.abs(np.asarray(plr(x), float) - distance).mean()) for plr in (proven, bare))
-        largest = float(distance.max())
-        rows.append(
-            {
-                "map": name,
-                "bytes": proven.num_bytes,
-                "points": len(x),
-                "mean_width": float((upper - lower).mean()) / largest,
-                "mean_error": mean / largest,
-                "over_unproven": mean / mean_bare,
-                "broken": int(((lower > distance) | (distance > upper)).sum()),
-            }
-        )
-    return {"rows": rows}
 
 
 # Whether proofs hold on random maps with what they stumble over: slivers, thin gaps, notches, walls that touch.

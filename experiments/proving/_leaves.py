@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -17,6 +17,7 @@ from matplotlib.colors import LogNorm, hsv_to_rgb
 from matplotlib.figure import Figure
 
 from experiments.benchmarks._maps import load_maps
+from experiments.benchmarks._oracle import ring_of
 from experiments.proving._sizes import widest_bounds
 from plr_jax import PLR, VisibilityGraph, Workspace, certify, construct, from_bytes, plot
 
@@ -34,14 +35,12 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
             "max_error": plr.max_error,
             "file": base64.b64encode(certify(plr, oracle, leaf_bounds=True).to_bytes()).decode("ascii"),
             "goal": goal.tolist(),
-            "free": [_rings(polygon) for polygon in shapely.get_parts(workspace.free_space)],
+            "free": [
+                {"outer": ring_of(part.exterior), "holes": [ring_of(hole) for hole in part.interiors]}
+                for part in shapely.get_parts(workspace.free_space)
+            ],
         }
     return {"maps": maps}
-
-
-def _rings(polygon: Any) -> dict[str, Any]:
-    outer, *holes = [shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors)]
-    return {"outer": outer, "holes": holes}
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
@@ -50,7 +49,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     figure = Figure(figsize=(8.6, 4.0 * len(maps)), dpi=130, facecolor="white", layout="constrained")
     axes = figure.subplots(len(maps), 2, squeeze=False)
     for (left, right), (name, each) in zip(axes, maps.items(), strict=True):
-        plr, workspace = _plr(each), Workspace.from_polygons(each["free"])
+        plr, workspace = from_bytes(base64.b64decode(each["file"])), Workspace.from_polygons(each["free"])
         _draw_sources(left, plr, np.array(each["goal"]))
         scale = _draw_errors(right, plr)
         for ax, title in ((left, "which corner each leaf belongs to"), (right, "proven error")):
@@ -63,24 +62,13 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     return [path]
 
 
-def _plr(each: dict[str, Any]) -> PLR:
-    return from_bytes(base64.b64decode(each["file"]))
-
-
-def _sources(
-    plr: PLR,
-) -> tuple[Int[np.ndarray, "leaves"], Float[np.ndarray, "sources 2"], Int[np.ndarray, "sources"]]:
-    """The source of each leaf, where sources are, and their parents."""
-    return plr.stored.source, plr.stored.sources.points, plr.stored.sources.parent
-
-
 def _boxes(plr: PLR) -> Float[np.ndarray, "leaves 4 2"]:
     (x0, y0), (x1, y1) = (corner.T for corner in plr.leaf_boxes)
     return np.stack([np.stack([x0, x1, x1, x0]), np.stack([y0, y0, y1, y1])], axis=-1).transpose(1, 0, 2)
 
 
 def _draw_sources(ax: Axes, plr: PLR, goal: Float[np.ndarray, "2"]) -> None:
-    source, points, parent = _sources(plr)
+    source, points, parent = plr.stored.source, plr.stored.sources.points, plr.stored.sources.parent
     each = np.arange(len(points))
     hue = (each * 0.61803) % 1.0  # neighbors in the file far apart in hue
     colors = hsv_to_rgb(np.column_stack([hue, 0.35 + 0.2 * (each % 3), 0.75 + 0.1 * (each % 2)]))

@@ -1,7 +1,7 @@
 """The largest error that can be found: dense samples where the largest is proven, then boxes that shrink."""
 
 import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -22,11 +22,6 @@ _FIRST_BOX, _SHRINKING = 0.1, 0.2  # of the sides of a leaf; of the box before
 Points = Float[np.ndarray, "n 2"]
 
 
-def leaf_errors(plr: PLR, oracle: VisibilityGraph) -> Float[np.ndarray, "leaves"]:
-    """Proven bound of the error of each leaf."""
-    return widest_bounds(certify(plr, oracle, leaf_bounds=True))
-
-
 def widest_bounds(plr: PLR) -> Float[np.ndarray, "leaves"]:
     """The larger of the two bounds of each leaf of a PLR that has them."""
     assert plr.band is not None
@@ -41,7 +36,7 @@ def largest_found(plr: PLR, oracle: VisibilityGraph, x: Points, errors: Float[np
     """
     rng = np.random.default_rng(7)
     lo, hi = plr.leaf_boxes
-    worst = np.argsort(-leaf_errors(plr, oracle))[:_LEAVES]
+    worst = np.argsort(-widest_bounds(certify(plr, oracle, leaf_bounds=True)))[:_LEAVES]
     dense, side = dense_points(oracle, lo, hi, worst, _SMOKE_POINTS if smoke else _POINTS, rng)
     points, found = np.concatenate([x, dense]), np.concatenate([errors, _errors(plr, oracle, dense)])
     sides = np.concatenate([np.full(x.shape, np.median(hi - lo, axis=0)), side])
@@ -205,11 +200,9 @@ def _queries(seed: int, smoke: bool) -> dict[str, Any]:
         for number in leaves
         for leaf in _SPEED_LEAVES
     }
-
-    def query(plr: PLR) -> Callable[[], Any]:
-        return lambda: plr(on_device)
-
-    seconds = interleaved({str(key): query(plr) for key, plr in plrs.items()}, 2 if smoke else _QUERY_TURNS)
+    seconds = interleaved(
+        {str(key): partial(plr, on_device) for key, plr in plrs.items()}, 2 if smoke else _QUERY_TURNS
+    )
     rows = [
         {
             "leaf": key[0],
@@ -226,7 +219,7 @@ def _builds(seed: int, smoke: bool) -> list[dict[str, Any]]:
     maps = load_maps(list(BUILDS)[: 1 if smoke else None])
     rows = []
     for name, found in maps.items():
-        calls = {leaf: _build(found, leaf, BUILDS[name], seed) for leaf in _SPEED_LEAVES}
+        calls = {leaf: partial(_build, found, leaf, BUILDS[name], seed) for leaf in _SPEED_LEAVES}
         seconds = interleaved(calls, 1 if smoke else _BUILD_TURNS)
         for leaf, call in calls.items():
             plr = call()
@@ -235,9 +228,6 @@ def _builds(seed: int, smoke: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def _build(found: Map, leaf: str, limits: dict[str, Any], seed: int) -> Callable[[], PLR]:
-    def build() -> PLR:
-        *_, oracle = prepared(*found)
-        return construct(oracle, oracle.workspace.bounds, leaf=leaf, seed=seed, **limits)
-
-    return build
+def _build(found: Map, leaf: str, limits: dict[str, Any], seed: int) -> PLR:
+    *_, oracle = prepared(*found)
+    return construct(oracle, oracle.workspace.bounds, leaf=leaf, seed=seed, **limits)

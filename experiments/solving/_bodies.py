@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from experiments._measures import relative_errors
 from experiments.solving._rivals import Sizes, all_neighbors, counted, even_sizes, grid_search, marched, prm_star
 from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
 
@@ -120,7 +121,7 @@ def _solved(body: Body, max_leaves: int, truth: GridField, x: np.ndarray, seed: 
     beyond = np.maximum(lower - cost, np.where(bounded, cost - upper, -np.inf)) / cost.mean()
     row |= {"beyond_share": float((beyond > 0).mean()), "beyond_largest": float(beyond.max(initial=0.0))}
     below = float((cost - lower).mean() / cost.mean())
-    return row | _errors(np.asarray(plr(x), float), cost) | {"below": below}
+    return row | relative_errors(np.asarray(plr(x), float), cost) | {"below": below}
 
 
 def _sampled(body: Body, num_samples: int, truth: GridField, seed: int) -> dict[str, Any]:
@@ -128,15 +129,4 @@ def _sampled(body: Body, num_samples: int, truth: GridField, seed: int) -> dict[
     cost = truth(sampled.vertices[1:])
     known = np.isfinite(cost)
     row = {"method": "PRM*", "cells": num_samples, "bytes": sampled.num_bytes, "seconds": sampled.seconds}
-    return row | {"tests": sampled.tests} | _errors(sampled.costs[1:][known], cost[known])
-
-
-def _errors(answer: Float[np.ndarray, "n"], cost: Float[np.ndarray, "n"]) -> dict[str, Any]:
-    """Mean and largest difference over the mean cost, and the share that has no answer."""
-    error = np.abs(answer - cost) / cost.mean()
-    known = np.isfinite(error)
-    return {
-        "mean": float(error[known].mean()) if known.any() else None,
-        "largest": float(error[known].max()) if known.any() else None,
-        "unanswered": float(1 - known.mean()),
-    }
+    return row | {"tests": sampled.tests} | relative_errors(sampled.costs[1:][known], cost[known])

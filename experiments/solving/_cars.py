@@ -46,9 +46,10 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         began = time.perf_counter()
         values = lookup_table(oracle, _SMOKE_TABLE if smoke else TABLE)
         table = {"car": name, "seconds": time.perf_counter() - began, "bytes": values.nbytes}
+        field = field_of(values)
         for method, of_table in {
             "table, nearest": partial(looked_up, values),
-            "table, interpolated": partial(interpolated, field_of(values)),
+            "table, interpolated": lambda x, field=field: field(_reflected(x)),
         }.items():
             row = table | {"method": method, "nanoseconds": _nanoseconds(of_table, x, batches, smoke)}
             rows.append(row | _errors(of_table(x), truth))
@@ -67,7 +68,8 @@ def _nanoseconds(
 
 def lookup_table(oracle: DistanceFn, sizes: tuple[int, int, int]) -> Float[np.ndarray, "columns rows headings"]:
     """Distances at ``x`` from border to border, ``y`` from the middle to the border, and even headings."""
-    axes = _axes(sizes)
+    steps = _steps(np.array(sizes))
+    axes = [start + step * np.arange(n) for start, step, n in zip((-HALF, 0, -np.pi), steps, sizes, strict=True)]
     poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     return oracle(poses.reshape(-1, 3)).astype(np.float32).reshape(sizes)
 
@@ -86,24 +88,12 @@ def field_of(values: Float[np.ndarray, "columns rows headings"]) -> GridField:
     return GridField(values.T, Box(lo, hi, periodic=(False, False, True)))
 
 
-def interpolated(field: GridField, x: Float[np.ndarray, "n 3"]) -> Any:
-    """What the eight cells around each pose say, interpolated."""
-    return field(_reflected(x))
-
-
 def _reflected(x: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     return np.where(x[:, 1:2] < 0, x * (1, -1, -1), x)
 
 
 def _steps(sizes: Any) -> Float[np.ndarray, "3"]:
     return np.array([2 * HALF, HALF, 2 * np.pi]) / (sizes - np.array([1, 1, 0]))
-
-
-def _axes(sizes: tuple[int, int, int]) -> list[Float[np.ndarray, "n"]]:
-    steps = _steps(np.array(sizes))
-    return [
-        start + step * np.arange(size) for start, step, size in zip((-HALF, 0, -np.pi), steps, sizes, strict=True)
-    ]
 
 
 def _errors(answer: Float[np.ndarray, "n"], truth: Float[np.ndarray, "n"]) -> dict[str, float]:

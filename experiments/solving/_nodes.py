@@ -37,13 +37,23 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         "centers": lambda: sum_of_distances(robot_distance_fns(published)),
         "SE(2)": lambda: turning(published, max_leaves, seed),
     }
-    rows = []
+    rows, options = [], BLOptions(searchers=("bl",), time_limit=TIME_LIMIT)
     for name, make in heuristics.items():
         began = time.perf_counter()
         heuristic = make()
         built = time.perf_counter() - began
-        row = {"heuristic": name, "built": built, "at_start": float(heuristic(published.starts[None])[0])}
-        rows.append(row | _planned(problems, heuristic, _moved(published, seed)))
+        row: dict[str, Any] = {
+            "heuristic": name,
+            "built": built,
+            "at_start": float(heuristic(published.starts[None])[0]),
+        }
+        plan(_moved(published, seed), heuristic, options)
+        runs = [(problem, *plan(problem, heuristic, options)) for problem in problems]
+        row["nodes"] = [solution.stats.num_nodes for _, solution, _ in runs]
+        row["seconds"] = [seconds for *_, seconds in runs]
+        row["cost"] = [solution.cost if solution.solved else None for _, solution, _ in runs]
+        row["valid"] = [is_valid(problem, solution) for problem, solution, _ in runs]
+        rows.append(row)
     return {"max_leaves": max_leaves, "starts": len(problems), "rows": rows}
 
 
@@ -62,15 +72,3 @@ def _moved(problem: Problem, seed: int) -> Problem:
     """The problem from other starts."""
     other = scenes.perturbed(problem, seed=seed)
     return Problem(problem.workspace, problem.robots, other.starts, problem.goals, problem.rotation_weight)
-
-
-def _planned(problems: list[Problem], heuristic: HeuristicFn, known: Problem) -> dict[str, Any]:
-    options = BLOptions(searchers=("bl",), time_limit=TIME_LIMIT)
-    plan(known, heuristic, options)
-    runs = [(problem, *plan(problem, heuristic, options)) for problem in problems]
-    return {
-        "nodes": [solution.stats.num_nodes for _, solution, _ in runs],
-        "seconds": [seconds for *_, seconds in runs],
-        "cost": [solution.cost if solution.solved else None for _, solution, _ in runs],
-        "valid": [is_valid(problem, solution) for problem, solution, _ in runs],
-    }

@@ -21,13 +21,13 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from experiments._measures import relative_errors
 from experiments.benchmarks._maps import Map, load_map
 from experiments.solving._rivals import (
     CountedSpace,
@@ -95,18 +95,10 @@ def _solved(
         "gap": float((upper - lower)[bounded].mean() / distance[bounded].mean()) if bounded.any() else None,
         "without_upper": float(1 - bounded.mean()),
     }
-    return row | errors(plr, x, distance) | gaps | {"bytes": plr.num_bytes, "tests": space.tests.for_json()}, plr
-
-
-def errors(answer: Callable[[Points], Any], x: Points, distance: Float[np.ndarray, "n"]) -> dict[str, float | None]:
-    """Mean and largest error as shares of the mean distance, and the share of points that get no answer."""
-    error = np.abs(np.asarray(answer(x), float) - distance) / distance.mean()
-    known = np.isfinite(error)
-    return {
-        "mean": float(error[known].mean()) if known.any() else None,
-        "largest": float(error[known].max()) if known.any() else None,
-        "unanswered": float(1 - known.mean()),
-    }
+    return row | relative_errors(np.asarray(plr(x), float), distance) | gaps | {
+        "bytes": plr.num_bytes,
+        "tests": space.tests.for_json(),
+    }, plr
 
 
 def violations(
@@ -134,7 +126,9 @@ def rivals(found: Map, x: Points, distance: Float[np.ndarray, "n"], seed: int, s
     for num_samples in SAMPLES[:1] if smoke else SAMPLES:
         sampled = prm_star(PlaneSpace(workspace), goal, num_samples, seed)
         size = {"cells": num_samples, "bytes": sampled.num_bytes, "seconds": sampled.seconds}
-        rows.append({"method": "PRM*", **size, "tests": sampled.tests, **errors(sampled.roadmap, x, distance)})
+        rows.append(
+            {"method": "PRM*", **size, "tests": sampled.tests, **relative_errors(sampled.roadmap(x), distance)}
+        )
     for method, sizes in CELLS.items():
         for num_cells in sizes[:1] if smoke else sizes:
             space = counted(PlaneSpace(workspace))
@@ -142,7 +136,7 @@ def rivals(found: Map, x: Points, distance: Float[np.ndarray, "n"], seed: int, s
             field = _on_grid(method, space, goal, num_cells)
             size = {"cells": field.values.size, "bytes": _BYTES_A_FLOAT * field.values.size}
             row = {"method": method, **size, "seconds": time.perf_counter() - began}
-            rows.append(row | {"tests": space.tests.for_json()} | errors(field, x, distance))
+            rows.append(row | {"tests": space.tests.for_json()} | relative_errors(field(x), distance))
     return rows
 
 

@@ -63,7 +63,11 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     solve_eikonal(space, GOAL, max_leaves=100)  # imports and compiles
     rows = []
     for name, cost_map in MAPS.items():
-        marching = _marching(space, cost_map, side, x)
+        began = time.perf_counter()
+        truth = marched(space, GOAL, (side, side), cost_map)(x)
+        marching = {"marching_seconds": time.perf_counter() - began}
+        coarser = marched(space, GOAL, (side // 2, side // 2), cost_map)(x)
+        marching["marching_difference"] = float(np.abs(coarser - truth).mean() / truth.mean())
         for limit in limits:
             began = time.perf_counter()
             plr = solve_eikonal(space, GOAL, cost_map=cost_map, **limit, seed=seed)
@@ -73,18 +77,8 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
                 "cells": plr.num_leaves,
                 "bytes": plr.num_bytes,
             }
-            rows.append(row | _errors(plr, x, marching["truth"]) | marching["row"])
+            rows.append(row | _errors(plr, x, truth) | marching)
     return {"side": side, "points": len(x), "rows": rows}
-
-
-def _marching(space: PlaneSpace, cost_map: CostMap, side: int, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
-    """The times of a grid, and how far those of one half as fine are from them."""
-    began = time.perf_counter()
-    truth = marched(space, GOAL, (side, side), cost_map)(x)
-    seconds = time.perf_counter() - began
-    coarser = marched(space, GOAL, (side // 2, side // 2), cost_map)(x)
-    own = float(np.abs(coarser - truth).mean() / truth.mean())
-    return {"truth": truth, "row": {"marching_seconds": seconds, "marching_difference": own}}
 
 
 def _errors(plr: Any, x: Float[np.ndarray, "n 2"], truth: Float[np.ndarray, "n"]) -> dict[str, Any]:

@@ -76,19 +76,15 @@ def _summary(num_bytes: int, of_point: OfPoint, pairs: Pairs) -> tuple[float, Co
         return jnp.maximum(straight(x, y), jnp.abs(at_x - at_y).max()), (at_x + at_y).min()
 
     ends = (jnp.asarray(column, jnp.float32) for column in (pairs.x, pairs.y))
-    lower, upper = jax.jit(jax.vmap(bounds))(*ends)
-    share = _best_share(np.asarray(lower), np.asarray(upper), pairs.distance)
+    lower, upper = map(np.asarray, jax.jit(jax.vmap(bounds))(*ends))
+    gap = np.maximum(upper - lower, 0)
+    share = float(min(_SHARES, key=lambda share: np.abs(lower + share * gap - pairs.distance).mean()))
 
     def of_pair(x: Array, y: Array) -> Array:
         lower, upper = bounds(x, y)
         return lower + share * jnp.maximum(upper - lower, 0)
 
     return share, compiled(num_bytes, of_pair)
-
-
-def _best_share(lower: np.ndarray, upper: np.ndarray, distance: np.ndarray) -> float:
-    gap = np.maximum(upper - lower, 0)
-    return float(min(_SHARES, key=lambda share: np.abs(lower + share * gap - distance).mean()))
 
 
 def _greedy(given: Given, pairs: Pairs) -> Points:
