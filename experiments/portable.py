@@ -4,7 +4,6 @@ A C compiler called ``cc`` and ``size`` are needed.
 """
 
 import ctypes
-import re
 import resource
 import subprocess
 import sys
@@ -106,7 +105,11 @@ def queries(seed: int, smoke: bool) -> dict[str, Any]:
         save(construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=1024), plr)
         for number in (1_000, 10_000) if smoke else ROWS:
             points = Path(folder) / "points.csv"
-            _write(points, number, seed)
+            x = np.random.default_rng(seed).random((min(number, MOST_AT_ONCE), 2))
+            text = "".join(f"{a:.6f},{b:.6f}\n" for a, b in x.tolist())
+            with open(points, "w") as file:
+                for _ in range(number // len(x)):
+                    file.write(text)
             began, before = time.perf_counter(), _of_children()
             with open(Path(folder) / "answers.txt", "wb") as answers:
                 command = [sys.executable, "-c", _CODE, str(plr), str(points)]
@@ -131,14 +134,6 @@ def _of_children() -> float:
     """Seconds of a processor that all processes took that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
-
-
-def _write(path: Path, number: int, seed: int) -> None:
-    x = np.random.default_rng(seed).random((min(number, MOST_AT_ONCE), 2))
-    text = re.sub(" ", ",", "\n".join(f"{a:.6f} {b:.6f}" for a, b in x.tolist())) + "\n"
-    with open(path, "w") as file:
-        for _ in range(number // len(x)):
-            file.write(text)
 
 
 # A heuristic of cars in C: lengths of Reeds and Shepp's shortest paths, in a header or in a 3-D table.

@@ -30,7 +30,6 @@ from jaxtyping import Float
 from experiments._measures import relative_errors
 from experiments.benchmarks._maps import Map, load_map
 from experiments.solving._rivals import (
-    CountedSpace,
     all_neighbors,
     counted,
     even_sizes,
@@ -133,20 +132,15 @@ def rivals(found: Map, x: Points, distance: Float[np.ndarray, "n"], seed: int, s
         for num_cells in sizes[:1] if smoke else sizes:
             space = counted(PlaneSpace(workspace))
             began = time.perf_counter()
-            field = _on_grid(method, space, goal, num_cells)
+            sides = even_sizes(space.domain, np.ones(2), num_cells)
+            if method == "scikit-fmm":
+                field = marched(space, goal, sides)
+            else:
+                field = grid_search(space, goal, sides, all_neighbors(2, _DIJKSTRA_REACH))
             size = {"cells": field.values.size, "bytes": _BYTES_A_FLOAT * field.values.size}
             row = {"method": method, **size, "seconds": time.perf_counter() - began}
             rows.append(row | {"tests": space.tests.for_json()} | relative_errors(field(x), distance))
     return rows
-
-
-def _on_grid(method: str, space: CountedSpace, goal: Float[np.ndarray, "2"], num_cells: int) -> Any:
-    sizes = even_sizes(space.domain, np.ones(2), num_cells)
-    return (
-        marched(space, goal, sizes)
-        if method == "scikit-fmm"
-        else grid_search(space, goal, sizes, all_neighbors(2, _DIJKSTRA_REACH))
-    )
 
 
 def main(limit: str) -> None:

@@ -8,9 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid_helpers import dijkstra
-from scipy import sparse
 
-from experiments.grid_distance import graph_of
 from plr_jax import grid_distance
 
 
@@ -51,37 +49,6 @@ def test_where_a_map_is_wider_than_high_its_path_length_is_another():
         if w > h:
             require_version("jaxmarl", "0.2.0")
         assert (float(theirs[1]) == truth) == (w <= h)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"map_kwargs": {"num_rows": 8, "num_cols": 10, "num_agents": 6, "obstacle_density": 0.3}},
-        {
-            "map_generator": "string_grid",
-            "map_kwargs": {"num_agents": 6, "map_str": "..#..#\n.#..#.\n#..#..\n...#.#\n.#...."},
-        },
-    ],
-)
-def test_lengths_in_camar_are_at_most_those_of_its_round_agents_among_its_round_obstacles(options):
-    """And infinite for the same: beside obstacles that touch, corners of cells are rounded by agents at most."""
-    env, fine = bridge("camar", "camar").ShapedCamar(**options), 9
-    for seed in range(4):
-        _, state = jax.jit(env.reset)(jax.random.key(seed))
-        h, w = (round(size / env.side) * fine for size in (env.map.height, env.map.width))
-        x = (np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1) + 0.5) / fine * env.side
-        x -= np.array([env.map.width, env.map.height]) / 2
-        gap = np.linalg.norm(x[:, :, None] - np.asarray(state.landmark_pos), axis=-1).min(axis=-1)
-        steps = graph_of(gap > env.map.agent_rad + env.map.landmark_rad, 8)
-        starts, goals = (
-            np.floor(np.asarray(env.in_cells(each)) * fine).astype(int) @ [1, w]
-            for each in (state.physical_state.agent_pos, state.goal_pos)
-        )
-        truth = np.diag(sparse.csgraph.dijkstra(steps, indices=goals)[:, starts]) / fine
-        ours = jax.vmap(lambda field, x: field(x))(state.distance, env.in_cells(state.physical_state.agent_pos))
-        assert (np.isinf(ours) == np.isinf(truth)).all()
-        finite = np.isfinite(truth)
-        assert (ours[finite] <= truth[finite] + 1e-4).all() and (truth[finite] <= 1.5 * ours[finite]).all()
 
 
 def test_minimax_is_told_the_steps_that_breadth_first_search_finds():
