@@ -27,7 +27,7 @@ def test_damaged_files_are_read_or_refused_by_name(name, tmp_path):
     if reader.suffix == ".plr":  # mutated ones have checksums that fit
         for data in valid:
             assert reader.repaired(data) == data
-            if len(data) not in Header.read(data).marks:  # of which nothing can be cut off
+            if not {len(data), len(data) - 9} & set(Header.read(data).marks):  # of which nothing can be cut off
                 cut = reader.repaired(data[:-9])
                 assert len(cut) == len(data) - 9
                 assert len(Container.from_bytes(cut).layers) == len(Container.from_bytes(data).layers)

@@ -90,6 +90,8 @@ class PairPLR(HeldFile):
 
     def with_label(self, label: str) -> "PairPLR":
         """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
+        if label == self.label:
+            return self
         stored = replace(self.stored, label=label)
         known = self.__dict__.get("tables")  # if they have been built
         return replace(self, file=super().with_label(label).file, _known_tables=known, _known_stored=stored)

@@ -32,10 +32,6 @@ def maps(tmp_path_factory):
     (folder / "grid.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
     (folder / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
     (folder / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
-    (folder / "team.yaml").write_text(
-        "environment: {min: [0, 0], max: [4, 4], obstacles: [{type: box, center: [2, 1], size: [0.5, 2]}]}\n"
-        "robots: [{type: unicycle_first_order_0_sphere, start: [1, 1, 0], goal: [3, 1, 0]}]\n"
-    )
     scenes.save(scenes.maze(), folder / "maze.json")
     scenes.save(scenes.four_rooms(2), folder / "team.json")
     scenes.save(scenes.tangle(), folder / "tangle.json")

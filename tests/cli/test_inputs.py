@@ -115,8 +115,8 @@ def test_a_picture_is_read_as_the_options_say(pictures):
 def test_only_pictures_are_of_pixels(maps, pictures, tmp_path):
     for path in (pictures / "a.png", pictures / "scan.yaml"):
         assert NamedMap(str(path)).is_of_pixels()
-    for path in ("maze", *(maps / name for name in ("team.yaml", "grid.map", "maze.json"))):
+    for path in ("maze", *(maps / name for name in ("grid.map", "maze.json"))):
         assert not NamedMap(str(path)).is_of_pixels()
     limits = ("--max-leaves", 4, "--leaf", "plane", "-o", tmp_path / "a.plr")
-    said = done("build", maps / "team.yaml", "--goal", "1,1", *limits)
+    said = done("build", maps / "grid.map", "--goal", "1,1", *limits)
     assert "drop-specks" not in said and not said.startswith("map")
