@@ -18,6 +18,9 @@ def test_box_keeps_its_corners():
         BOX.contains(np.array([[0.0, 1.0], [2.0, 5.0], [2.1, 3.0], [np.nan, 3.0]])),
         [True, True, False, False],
     )
+    # Along a periodic axis every finite coordinate is inside.
+    x = np.array([[1, 100.0], [1, -100.0], [2.1, 0], [1, np.inf], [1, np.nan], [2, np.pi]])
+    np.testing.assert_array_equal(TURN.contains(x), [True, True, False, False, False, True])
     assert Box.of(BOX) is BOX
     assert Box.of(((0, 1), (2, 5))) == Box.of(np.array([[0, 1], [2, 5]])) == BOX
 
@@ -89,11 +92,6 @@ def test_a_grid_fills_the_box_with_square_cells():
     np.testing.assert_allclose(centers[1, 0], [1.5, 3.5])
     assert centers.shape == (2, 4, 2)
     assert Box((0, 0), (100, 1)).grid(10).shape == (1, 10, 2)  # a sliver keeps one row
-
-
-def test_every_finite_coordinate_is_inside_along_a_periodic_axis():
-    x = np.array([[1, 100.0], [1, -100.0], [2.1, 0], [1, np.inf], [1, np.nan], [2, np.pi]])
-    np.testing.assert_array_equal(TURN.contains(x), [True, True, False, False, False, True])
 
 
 def test_points_are_wrapped_by_whole_periods():

@@ -2,7 +2,7 @@ import numpy as np
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from piece_helpers import as_pieces, box, points_of, polygons, random_pieces
+from piece_helpers import as_pieces, points_of, polygons, random_pieces
 
 from plr_jax.geometry.convex_pieces import (
     ROOM,
@@ -16,7 +16,6 @@ from plr_jax.geometry.convex_pieces import (
 )
 
 SEEDS = st.integers(0, 100_000)
-SQUARE = as_pieces([box(0, 0, 2, 2)])
 DENSE = np.linspace(0, 1, 129)
 
 

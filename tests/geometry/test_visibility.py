@@ -2,13 +2,11 @@ import numpy as np
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from piece_helpers import TEN, box, general_workspace
+from piece_helpers import general_workspace
 
 from plr_jax.geometry.visibility import Viewpoints, visibility_of
-from plr_jax.geometry.workspace import Workspace
 
 NONE = np.empty(0, int)
-WALL = Workspace(TEN, [box(4, 2, 6, 8)])
 
 
 def views_of(workspace, points):

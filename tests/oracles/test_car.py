@@ -112,7 +112,6 @@ def test_paths_end_at_the_goal_and_are_as_long_as_is_said(car, extent):
 
 
 POSE = st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-10, 10))
-TURN = st.floats(0, 6 * RADIUS)
 
 
 @both
