@@ -49,8 +49,8 @@ from plr_jax.spaces import (
 )
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
-Points: TypeAlias = Float[np.ndarray, "n dim"]
-Next: TypeAlias = Int[np.ndarray, "n"]  # for each node of a set of paths, the node after it
+Points: TypeAlias = Float[np.ndarray, "_ dim"]
+Next: TypeAlias = Int[np.ndarray, "_"]  # for each node of a set of paths, the node after it
 
 
 class DescentStatus(enum.StrEnum):

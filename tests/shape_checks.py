@@ -18,7 +18,12 @@ _skipped: list[Callable] = []
 
 
 def in_first_calls(stub: Callable) -> Callable:
-    """The type checker for jaxtyping, which calls it with a stub of each function's signature."""
+    """The type checker for jaxtyping, which calls it with a stub of each function's signature.
+
+    Signatures with ``Self`` are not checked: beartype knows ``Self`` only in classes that it decorates itself.
+    """
+    if "Self" in str(stub.__annotations__):
+        return stub
     name = (stub.__module__, stub.__qualname__)
     check = None
 

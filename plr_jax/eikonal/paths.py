@@ -40,10 +40,10 @@ _STRIDES = (2, 4, 8, 16, 32)
 # So many of the nearest nodes may go straight to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
-Nodes: TypeAlias = Int[np.ndarray, "nodes"]
+Nodes: TypeAlias = Int[np.ndarray, "_"]
 Costs: TypeAlias = Float[np.ndarray, "nodes"]
-Edges: TypeAlias = Int[np.ndarray, "edges"]
-EdgeCosts: TypeAlias = Float[np.ndarray, "edges"]
+Edges: TypeAlias = Int[np.ndarray, "_"]
+EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
 Point: TypeAlias = Float[np.ndarray, "dim"]
 
 

@@ -120,7 +120,7 @@ class Lattice:
         return motions_with_ends(self.table, self.ends, np.arange(len(self.q)))
 
 
-State: TypeAlias = Int[np.ndarray, "n robots"]  # joint configurations, as indices into the robots' lattices
+State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint configurations, as indices into the robots' lattices
 
 
 class JointLattice(NamedTuple):
@@ -248,7 +248,7 @@ class Kind:
         costs[searches, goals] = 0.0
         return costs
 
-    def costs_to_come(self, row: int) -> Float[np.ndarray, "nodes"]:
+    def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
         """Cost of the cheapest motions from the start of one robot to each node but its goal, likewise."""
         edge = self._cheapest
         graph = csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)

@@ -12,6 +12,8 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells
 
+pytestmark = pytest.mark.usefixtures("unchecked_types")  # a namespace stands for a leaf model
+
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
     most = (given.get(name) for name in ("max_depth", "max_leaves", "max_bytes", "tolerance"))
