@@ -59,7 +59,8 @@ class PairPLR(HeldFile):
     it or take it as an argument.
 
     Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
+        file: The bytes that :func:`save` writes, padded with zeros, then their number: see ``held`` in
+            ``plr/container.py``.
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]

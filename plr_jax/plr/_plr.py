@@ -56,7 +56,8 @@ class PLR(HeldFile):
     to a PLR raises ``TypeError``.
 
     Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
+        file: The bytes that :func:`save` writes, padded with zeros, then their number: see ``held`` in
+            ``plr/container.py``.
     """
 
     def __init__(

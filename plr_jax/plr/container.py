@@ -18,8 +18,8 @@ Layout of version 5, with numbers as :func:`varint` writes them:
       u8      the code of its leaf model, and four bits left of it, what it keeps of a proof
             and all have a bit stream, least significant bit first, the last byte filled up with zeros:
               the tree over the leaves, whose boxes follow from the splits (see ``write_tree`` in ``coding.py``)
-              what the leaf model keeps of the leaves (see ``leaves/plane.py`` and the ``codec.py`` of the
-                others), in the order of the tree's traversal, lower half first
+              what the leaf model keeps of the leaves (see ``leaves/plane.py``, ``leaves/continuous.py``
+                and ``leaves/cone/codec.py``), in the order of the tree's traversal, lower half first
               what it keeps of a proof
       u32     CRC-32 of all bytes before from the start of the file, but for other checksums, little-endian
 
