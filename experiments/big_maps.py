@@ -6,6 +6,7 @@ triangles, visibility polygons, the graph and the distances of its vertices are 
 found once for a goal. Seconds are those of the processor, medians of several runs, each on a workspace of its own.
 """
 
+import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -70,7 +71,7 @@ def measure(make: Callable[[], Workspace], num_runs: int, num_points: int, seed:
         seconds.append((to_workspace, to_oracle, to_first, to_batch / num_points * 1e6))
     names = "seconds_workspace", "seconds_prepare", "seconds_first", "microseconds_a_point"
     graph = oracle.graph
-    sizes = {"corners": graph.num_vertices - 1, "edges": graph.num_edges, "bytes": oracle.num_bytes}
+    sizes = {"corners": len(graph.vertices) - 1, "edges": len(graph.edges), "bytes": len(pickle.dumps(oracle))}
     medians = dict(zip(names, np.median(seconds, axis=0).tolist(), strict=True))
     return {"vertices": len(workspace.boundary.vertices), **sizes, **medians}
 

@@ -30,8 +30,7 @@ from scipy.stats import qmc
 from plr_jax._arrays import as_distances, as_finite, as_finite_point, as_points, padded, padded_size, parts, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
-from plr_jax.geometry.first_visible import first_visible_in_parts
-from plr_jax.geometry.graph import Graph, dijkstra
+from plr_jax.geometry.graph import Graph, dijkstra, first_visible_in_parts
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import (

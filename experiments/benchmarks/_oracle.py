@@ -14,7 +14,8 @@ the slit leads nowhere.
 
 import json
 import os
-import subprocess
+import pickle
+import pickle
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -117,7 +118,7 @@ def _ours(
     x = workspace.sample_free(max(batches), seed + 1)
     row = {
         "vertices": len(workspace.boundary.vertices),
-        "bytes": oracle.num_bytes,
+        "bytes": len(pickle.dumps(oracle)),
         "runs": len(runs),
         "seconds_workspace": float(np.median([run[0] for run in runs])),
         "seconds_prepare": float(np.median([run[1] for run in runs])),

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.first_visible import Sees, first_visible_in_parts, first_visible_of_some
+from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
@@ -99,13 +99,6 @@ class CornerVisibility:
         """The corner at each vertex of the boundary, -1 where there is none."""
         return corner_of_vertex(self.table.boundary, self.views)
 
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the corners, their visibility polygons and edges, and of the walls they look at."""
-        boundary = self.table.boundary
-        arrays = (self.corners.walls, self.edges, boundary.normal, boundary.offset)
-        return self.table.num_bytes + sum(a.nbytes for a in arrays)
-
 
 def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> CornerVisibility:
     """What the corners of a workspace see, found once for all goals.
@@ -167,11 +160,6 @@ class TurnPoints:
     distance: Float[np.ndarray, "turns"]
     normal: Float[np.ndarray, "2 turns 2"]
     slack: float
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the arrays."""
-        return sum(a.nbytes for a in (self.vertex, self.points, self.distance, self.normal))
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
@@ -251,11 +239,6 @@ class TurnRegions:
     triangulation: Triangulation
     first: Int[np.ndarray, "triangles_plus_one"]
     turn: Int[np.ndarray, "entries"]
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the arrays, and of the triangles."""
-        return self.first.nbytes + self.turn.nbytes + self.triangulation.num_bytes
 
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees

@@ -1,22 +1,18 @@
-"""Shortest paths over sparse geometric graphs: Dijkstra's algorithm (SciPy), and export to NetworkX."""
+"""Shortest ways: Dijkstra's algorithm over geometric graphs, and the shortest way whose first leg is free."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
 from plr_jax._types import Points
 
-if TYPE_CHECKING:
-    import networkx
-
-NO_PARENT = -9999
-"""Parent of the root of a shortest-path tree and of what the tree does not reach (SciPy's sentinel)."""
+_CHUNK = 1 << 18  # pairs of a point and a way held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,39 +24,11 @@ class Graph:
         edges: The two ends of each edge, as indices of vertices. An edge is listed once, in either
             direction. Ends may coincide: such an edge has length zero and still connects them.
         measure: Length of an edge for each pair of ends, where it is not Euclidean.
-
-    Raises:
-        ValueError: If an end is not a vertex, both ends are one vertex, or an edge is listed twice.
     """
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]
     measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None
-
-    def __post_init__(self):
-        edges, last = self.edges, len(self.vertices) - 1
-        if edges.size and not (edges.min() >= 0 and edges.max() <= last):
-            raise ValueError(f"Edges must join vertices 0 to {last}, got {edges.min()} to {edges.max()}.")
-        if np.any(edges[:, 0] == edges[:, 1]):
-            raise ValueError("An edge must join two different vertices.")
-        # SciPy adds up repeated entries, which would silently lengthen a repeated edge.
-        if self.adjacency.nnz != 2 * len(edges):
-            raise ValueError("Each edge must be listed once, in one of its two directions.")
-
-    @property
-    def num_vertices(self) -> int:
-        """Number of vertices."""
-        return len(self.vertices)
-
-    @property
-    def num_edges(self) -> int:
-        """Number of undirected edges."""
-        return len(self.edges)
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the vertices, of both ends of every edge and of its length, as arrays."""
-        return self.vertices.nbytes + self.edges.nbytes + self.lengths.nbytes
 
     @cached_property
     def lengths(self) -> Float[np.ndarray, "e"]:
@@ -79,39 +47,117 @@ class Graph:
 
 
 def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Length of the shortest path from one vertex to each, and the vertex before it on that path.
+    """Return the length of the shortest path from one vertex to each, and the vertex before it on that path.
 
-    Where there is none they are ``inf`` and ``NO_PARENT``, which is also the parent of the source.
+    Where there is no path the length is ``inf`` and the vertex negative, as it is for the source.
     """
     distances, parents = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True)
     return distances, parents
 
 
-def rooted(parents: Int[np.ndarray, "v"]) -> Int[np.ndarray, "v"]:
-    """The same parents, but where there is none the vertex itself."""
-    return np.where(parents == NO_PARENT, np.arange(len(parents)), parents)
-
-
-def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
-    """Vertices from the root of a shortest-path tree, given by its parents, to one vertex, both included."""
-    path = [vertex]
-    while (parent := int(parents[path[-1]])) != NO_PARENT:
-        path.append(parent)
-    return path[::-1]
-
-
 def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
-    """The path from a point by way of a vertex to the root of a shortest-path tree, no two points in a row equal."""
-    path = np.concatenate([start[None], graph.vertices[path_from_root(parents, vertex)[::-1]]])
+    """Return the path from a point by way of a vertex to the root of a shortest-path tree.
+
+    No two points of the path in a row are equal.
+    """
+    vertices = [vertex]
+    while (parent := int(parents[vertices[-1]])) >= 0:
+        vertices.append(parent)
+    path = np.concatenate([start[None], graph.vertices[vertices]])
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-def to_networkx(graph: Graph) -> "networkx.Graph":
-    """The graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, a tuple, and edges with their length as ``weight``."""
-    import networkx  # a tenth of a second, which nothing else needs
+# The search of a shortest way on: of many ways, the shortest whose first leg is free, found with few tests.
 
-    exported = networkx.Graph()
-    exported.add_nodes_from((i, {"pos": tuple(pos)}) for i, pos in enumerate(graph.vertices.tolist()))
-    ends, lengths = graph.edges.tolist(), graph.lengths.tolist()
-    exported.add_weighted_edges_from((a, b, length) for (a, b), length in zip(ends, lengths, strict=True))
-    return exported
+
+Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
+"""Visibility, for pairs of a point and a way, by index."""
+
+
+def first_visible(
+    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
+) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+    """The shortest visible ways of each point, ``count`` of them.
+
+    Tests the shortest ways of every point, two at once (or ``count``, if that is more), then four times as many of
+    the next ones of those still short of some, and so on: it finds what a test of all pairs would find, with few
+    tests where the shortest are visible.
+
+    Args:
+        lengths: Length of each way from each point; NaN where there is none to test, ``inf`` where one leads
+            nowhere.
+        sees: Visibility.
+        count: How many ways to find for each point.
+        at_once: How many to test at first, and half of how much that grows by: 1 where tests are dear.
+
+    Returns:
+        The ways, shortest first, -1 where a point sees fewer; and their lengths, ``inf`` there.
+    """
+    found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
+    pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
+    while pending.size and lengths.shape[1]:
+        # The columns of the smallest entries of each row, ascending, NaN last.
+        rows = np.arange(len(lengths))[:, None]
+        if num_tests < lengths.shape[1]:
+            tests = np.argpartition(lengths, num_tests - 1, axis=1)[:, :num_tests]
+            tests = tests[rows, np.argsort(lengths[rows, tests], axis=1)]
+        else:
+            tests = np.argsort(lengths, axis=1)
+        length = lengths[rows, tests]
+        row, column = np.nonzero(~np.isnan(length))
+        visible = np.zeros(tests.shape, dtype=bool)
+        visible[row, column] = sees(pending[row], tests[row, column])
+        rank = num_found[:, None] + np.cumsum(visible, axis=1)
+        row, column = np.nonzero(visible & (rank <= count))
+        place = pending[row], rank[row, column] - 1
+        found[place], shortest[place] = tests[row, column], length[row, column]
+        more = (rank[:, -1] < count) & ~np.isnan(length[:, -1])
+        pending, num_found, lengths = pending[more], rank[more, -1], lengths[more]
+        lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
+        num_tests *= 2 * at_once
+    return found, shortest
+
+
+def first_visible_in_parts(
+    lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
+) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+    """:func:`first_visible` of many points, whose lengths are computed for a run of points at a time."""
+    found, shortest = np.empty((n, count), int), np.empty((n, count))
+    step = max(1, _CHUNK // max(1, num_ways))
+    for begin in range(0, n, step):
+        rows = slice(begin, min(begin + step, n))
+        found[rows], shortest[rows] = first_visible(
+            lengths(rows), lambda point, way, begin=begin: sees(begin + point, way), count
+        )
+    return found, shortest
+
+
+def first_visible_of_some(
+    lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The shortest visible way of each point, of different ways for each.
+
+    Args:
+        lengths: Length of each pair of a point and a way, those of one point after those of the other.
+        counts: Number of ways of each point.
+        sees: Visibility, of a point and a pair.
+
+    Returns:
+        The pairs, -1 where a point sees none; and their lengths, ``inf`` there.
+    """
+    found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
+    pending = np.flatnonzero(counts)
+    pair, counts = np.arange(len(lengths)), counts[pending]
+    while pending.size:
+        start = np.cumsum(counts) - counts
+        least = np.minimum.reduceat(lengths, start)
+        best = np.flatnonzero(lengths == np.repeat(least, counts))
+        best = best[np.searchsorted(best, start)]
+        visible = sees(pending, pair[best])
+        place = pending[visible]
+        found[place], shortest[place] = pair[best[visible]], least[visible]
+        lengths[best] = np.inf
+        more = ~visible & (np.minimum.reduceat(lengths, start) < np.inf)
+        kept = np.repeat(more, counts)
+        pending, counts, lengths, pair = pending[more], counts[more], lengths[kept], pair[kept]
+    return found, shortest

@@ -126,12 +126,6 @@ class Triangulation:
         sides = np.roll(self.triangles, -1, axis=1) - self.triangles
         return np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
 
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the triangles, and of the grid in which they are found."""
-        grid = self.locator
-        return sum(a.nbytes for a in (self.origin, self.twin, self.wall, grid.first, grid.triangle, grid.lines))
-
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         """The corners of each triangle, counterclockwise."""

@@ -234,11 +234,6 @@ class VisibilityTable:
     key: Float[np.ndarray, "rows"]
     edge: Int[np.ndarray, "rows"]
 
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the table, without the boundary."""
-        return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
-
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
 

@@ -76,11 +76,11 @@ class PairDistances:
     @cached_property
     def _known(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
         """Corners whose distances to all of them are known, where all are to be kept, and these."""
-        return np.zeros(self._graph.num_vertices, bool), np.empty(2 * (self._graph.num_vertices,))
+        return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
     def _ways(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
         """Distances from some corners to all of them."""
-        if self._graph.num_vertices > self._at_once:
+        if len(self._graph.vertices) > self._at_once:
             return csgraph.dijkstra(self._graph.adjacency, indices=corners)
         is_known, table = self._known
         missing = corners[~is_known[corners]]
@@ -91,7 +91,7 @@ class PairDistances:
     @property
     def _at_once(self) -> int:
         """Corners to ask for at a time."""
-        return max(1, _DISTANCES // max(1, self._graph.num_vertices))
+        return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
 
     @cached_property
     def _regions(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,12 +26,8 @@ from plr_jax._arrays import (
 )
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
 from plr_jax.geometry.workspace import Workspace, require_workspace
-
-if TYPE_CHECKING:
-    import networkx
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,11 +339,7 @@ class Roadmap:
         This is what a search for any goal needs. The distances to this goal, the k-d tree and the
         adjacency matrix follow from it and are not counted.
         """
-        return self.graph.num_bytes
-
-    def to_networkx(self) -> "networkx.Graph":
-        """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
-        return to_networkx(self.graph)
+        return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Distance of each point to the goal along the roadmap.

@@ -1,25 +1,18 @@
 """Exact shortest-path distance among polygons in the plane."""
 
-import io
 import math
-import os
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from pathlib import Path
-from tokenize import TokenError
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float, Int, Shaped, UInt64
-from shapely.geometry import MultiPolygon, Polygon
+from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after, set_fields, shortened
-from plr_jax._files import write_atomically
 from plr_jax._types import ArrayLike, Distances, Sources
-from plr_jax.geometry.boundary import Boundary, Region, RingEdges, as_polygons, grid_of
+from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import Sight
 from plr_jax.geometry.changed_distances import ChangedDistances
@@ -30,21 +23,16 @@ from plr_jax.geometry.corners import (
     TurnPoints,
     TurnRegions,
     corner_visibility,
-    find_corners,
     find_turn_points,
     turn_regions,
 )
-from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._cell_sources import FamilySources, SharedCells, VisibleSources, goal_sight, lists_of_goal
 from plr_jax.oracles._changed_distances import changed_distances
 from plr_jax.oracles._pair_distances import PairDistances
-
-if TYPE_CHECKING:
-    import networkx
-
 
 _LOST = 1e-6  # share of free space that rounding may lose
 
@@ -164,51 +152,12 @@ class VisibilityGraph:
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
-    def save(self, path: str | os.PathLike) -> None:
-        """Write what preparing the oracle has found to a file: NumPy arrays in a zip archive, without pickles.
-
-        Args:
-            path: The file. It is complete or absent: it is written under another name first, then renamed.
-
-        Raises:
-            OSError: If the file cannot be written.
-        """
-        write_visibility(Path(path), self.workspace, self.goal, self._corners)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike) -> "VisibilityGraph":
-        """Read an oracle that :meth:`save` wrote, without preparing its workspace again; it answers alike.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The oracle. With :meth:`with_goal` it serves other goals.
-
-        Raises:
-            ValueError: If the file is truncated, corrupt, of another kind, or of another version.
-            OSError: If the file cannot be read.
-        """
-        try:
-            workspace, goal, corners = read_visibility(Path(path))
-            return cls(workspace, goal, shared=PairDistances(workspace, corners))
-        except (ValueError, EOFError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
-            reason = str(error).rstrip(".")
-            raise ValueError(f"{path} cannot be read as a visibility graph: {reason}.") from error
-
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the arrays that a query reads and another goal needs, including what their oracles share."""
-        turns = self._turns.num_bytes + self.regions.num_bytes
-        own = self._goal_table.num_bytes + turns + self._parents.nbytes + self.distances.nbytes
-        return self._corners.num_bytes + own
 
     @cached_property
     def graph(self) -> Graph:
@@ -225,7 +174,9 @@ class VisibilityGraph:
     def sources(self) -> Sources:
         """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
         points = self._corners.corners.with_goal(self.goal).points
-        return Sources(points, self.distances, rooted(self._parents))
+        # Where no vertex comes next, the parent is the vertex itself.
+        parents = np.where(self._parents < 0, np.arange(len(points)), self._parents)
+        return Sources(points, self.distances, parents)
 
     @cached_property
     def sight(self) -> Sight:
@@ -315,10 +266,6 @@ class VisibilityGraph:
             side = (turns.normal[1] == turned_left(fn._corners.corners.walls[0, corner])).all(axis=1)
             goals.append((fn._goal_table, 2 * corner + side, turns.distance))
         return shared.of_goals(goals)
-
-    def to_networkx(self) -> "networkx.Graph":
-        """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
-        return to_networkx(self.graph)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Length of the shortest path from each point to the goal.
@@ -451,114 +398,3 @@ def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"
         return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
     none = np.empty(0, int)
     return Viewpoints(goal[None], none, none)
-
-
-# Visibility graphs in files: a zip archive of NumPy arrays, without pickles, that ``np.load`` can read as well.
-
-
-_VERSION = 1
-_ARRAYS = {
-    "version": ("i", ()),
-    "bounds": ("f", (2, 2)),
-    "squeeze": ("b", ()),
-    "free_space": ("u", (None,)),
-    "obstacles": ("u", (None,)),
-    "goal": ("f", (2,)),
-    "cut": ("f", (None, 2)),
-    "first": ("i", (None,)),
-    "key": ("f", (None,)),
-    "edge": ("i", (None,)),
-    "edges": ("i", (None, 2)),
-}
-"""Kind of the numbers of each array, and its shape, where None is any number."""
-
-
-def write_visibility(
-    path: Path, workspace: Workspace, goal: Float[np.ndarray, "2"], corners: CornerVisibility
-) -> None:
-    """Write what :func:`read_visibility` reads."""
-    table, file = corners.table, io.BytesIO()
-    geometries: Any = workspace.free_space, shapely.geometrycollections(list(workspace.obstacles))
-    geometries = [np.frombuffer(shapely.to_wkb(each), np.uint8) for each in geometries]
-    bounds = np.stack([workspace.bounds.lo, workspace.bounds.hi])
-    of_corners = table.cut, table.first, table.key, table.edge, corners.edges
-    values: Any = _VERSION, bounds, workspace.squeeze, *geometries, goal, *of_corners
-    np.savez(file, **dict(zip(_ARRAYS, values, strict=True)))
-    write_atomically(path, file.getvalue())
-
-
-def read_visibility(path: Path) -> tuple[Workspace, Float[np.ndarray, "2"], CornerVisibility]:
-    """The workspace, the goal, and what the corners see, of a file.
-
-    Raises:
-        ValueError, EOFError, BadZipFile, ShapelyError: If the file is truncated, corrupt, of another kind or version.
-        OSError: If it cannot be read.
-    """
-    arrays = _arrays(path)
-    if arrays["version"] != _VERSION:
-        raise ValueError(f"it is of version {arrays['version']}, this release reads version {_VERSION}")
-    free: Any
-    free, obstacles = (shapely.from_wkb(arrays[name].tobytes()) for name in ("free_space", "obstacles"))
-    polygons = as_polygons("Obstacle", obstacles)
-    if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
-        raise ValueError("its free space is no valid polygon")
-    bounds = Box(*arrays["bounds"])
-    boundary = RingEdges.of(free, 8 * grid_of(bounds)).boundary
-    region = Region(free, boundary, False)
-    workspace = Workspace(bounds, polygons, squeeze=bool(arrays["squeeze"]), region=region)
-    return workspace, arrays["goal"], _corners(arrays, workspace)
-
-
-def _arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The arrays of a file, of the kinds and shapes that they must have, and no larger than the file."""
-    data = io.BytesIO(path.read_bytes())  # so that only what cannot be read, and no wrong place in it, is an OSError
-    arrays = {}
-    try:
-        with zipfile.ZipFile(data) as archive:
-            missing = {f"{name}.npy" for name in _ARRAYS} - set(archive.namelist())
-            if missing:
-                raise ValueError(f"it has no {min(missing)}")
-            for name, (kind, shape) in _ARRAYS.items():
-                member = archive.getinfo(f"{name}.npy")
-                if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
-                    raise ValueError(f"{name} is compressed")
-                arrays[name] = _array(name, kind, shape, io.BytesIO(archive.read(member)))
-    except RuntimeError as error:  # so zipfile calls what it has no code for, and what is encrypted
-        raise ValueError(f"it cannot be unpacked: {error}") from error
-    return arrays
-
-
-def _array(name: str, kind: str, shape: tuple[int | None, ...], data: io.BytesIO) -> Shaped[np.ndarray, "..."]:
-    np.lib.format.read_magic(data)
-    try:
-        found, _, dtype = np.lib.format.read_array_header_1_0(data)
-    except (TokenError, SyntaxError, RecursionError, TypeError) as error:  # it is read as Python
-        raise ValueError(f"{name} has a header that cannot be read") from error
-    fits = len(found) == len(shape) and all(n in (None, m) for n, m in zip(shape, found, strict=True))
-    if dtype.kind != kind or not fits:
-        raise ValueError(f"{name} has numbers of kind {dtype.kind} and shape {found}")
-    array = np.frombuffer(data.read(), dtype)
-    if array.size != np.prod(found, dtype=object) or (kind == "f" and not np.isfinite(array).all()):
-        raise ValueError(f"{name} is incomplete or has numbers that are not finite")
-    return array.reshape(found)
-
-
-def _corners(arrays: dict[str, Shaped[np.ndarray, "..."]], workspace: Workspace) -> CornerVisibility:
-    """What the corners see, if the arrays are in order and name nothing that is not there."""
-    corners, views = find_corners(workspace)
-    count, num_walls = len(corners.points), len(workspace.boundary.edges)
-    cut, first, key, edge, edges = (arrays[name] for name in ("cut", "first", "key", "edge", "edges"))
-    counts = np.diff(first)
-    if len(cut) != count or len(counts) != count or first[0] != 0 or not (counts > 0).all():
-        raise ValueError(f"it has not one visibility polygon for each of {count} corners")
-    if (np.abs((cut * cut).sum(axis=1) - 1) > 1e-9).any():
-        raise ValueError("directions of its visibility polygons are no unit vectors")
-    if not len(key) == len(edge) == first[-1]:
-        raise ValueError("its visibility polygons are incomplete")
-    turn = key - 4.0 * np.repeat(np.arange(count), counts)
-    if (np.diff(key) < 0).any() or (turn < 0).any() or (turn > 4).any():
-        raise ValueError("its visibility polygons are out of order")
-    if (edge < -1).any() or (edge >= num_walls).any() or (edges < 0).any() or (edges >= count).any():
-        raise ValueError("it names corners or walls that its workspace has not")
-    table = VisibilityTable(workspace.boundary, workspace.tolerance, corners.points, cut, first, key, edge)
-    return CornerVisibility(corners, views, table, edges)

@@ -91,14 +91,6 @@ def test_changes_that_cannot_be_are_refused(change, message):
         workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
 
 
-def test_an_oracle_after_a_change_survives_its_file(tmp_path):
-    before = VisibilityGraph(Workspace(BOUNDS, [shapely.box(x, 3, x + 1, 5) for x in (1, 3, 5)]), (0.5, 0.5))
-    after = before.with_workspace(before.workspace.with_obstacles([shapely.box(6, 6, 7, 7)], remove=[1]))
-    after.save(tmp_path / "after.npz")
-    x = np.random.default_rng(0).uniform(0, 8, (200, 2))
-    np.testing.assert_array_equal(VisibilityGraph.load(tmp_path / "after.npz")(x), after(x))
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_polygons_that_are_seen_in_whole_or_not_at_all(seed):
     rng = np.random.default_rng(seed)

@@ -5,17 +5,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
-
-# A 3-4-5 triangle with a detour, a vertex on top of another, and a vertex on its own.
-#
-#   3 --- 2
-#   |   / |      4 coincides with 2; 5 is alone
-#   0 --- 1
-SMALL = Graph(
-    np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0], [4.0, 3.0], [9.0, 9.0]]),
-    np.array([[0, 1], [2, 1], [2, 3], [0, 3], [2, 4]]),
+from plr_jax.geometry.graph import (
+    Graph,
+    dijkstra,
+    first_visible,
+    first_visible_in_parts,
+    first_visible_of_some,
+    path_to_root,
 )
 
 
@@ -30,41 +28,84 @@ def lattice_graphs(draw):
 
 @given(lattice_graphs())
 def test_dijkstra_agrees_with_networkx(graph):
-    expected = nx.single_source_dijkstra_path_length(to_networkx(graph), 0)
+    edges = {frozenset(edge) for edge in graph.edges.tolist()}
+    weighted = nx.Graph([(a, b, {"weight": np.linalg.norm(np.subtract(*graph.vertices[[a, b]]))}) for a, b in edges])
+    weighted.add_nodes_from(range(len(graph.vertices)))
+    expected = nx.single_source_dijkstra_path_length(weighted, 0)
     distances, parents = dijkstra(graph, 0)
-    vertices, edges = range(graph.num_vertices), {frozenset(edge) for edge in graph.edges.tolist()}
-    np.testing.assert_allclose(distances, [expected.get(vertex, np.inf) for vertex in vertices], atol=1e-12)
-    assert parents[0] == NO_PARENT and (parents[np.isinf(distances)] == NO_PARENT).all()
+    np.testing.assert_allclose(distances, [expected.get(i, np.inf) for i in range(len(distances))], atol=1e-12)
+    assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
+    start = np.array([-1.0, -1.0])
     for vertex in expected:
-        way = path_from_root(parents, vertex)
-        assert (way[0], way[-1]) == (0, vertex)
-        assert all(frozenset(step) in edges for step in itertools.pairwise(way))
-        length = np.linalg.norm(np.diff(graph.vertices[way], axis=0), axis=1).sum()
-        assert length == pytest.approx(expected[vertex], abs=1e-12)
+        path = path_to_root(graph, parents, start, vertex)
+        assert path[0].tolist() == [-1, -1] and path[-1].tolist() == graph.vertices[0].tolist()
+        places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
+        assert all(frozenset(map(tuple, step)) in places for step in itertools.pairwise(path[1:].tolist()))
+        length = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
+        assert length.sum() == pytest.approx(expected[vertex], abs=1e-12) and (length > 0).all()
 
 
-def test_counts_positions_and_weights():
-    exported = to_networkx(SMALL)
-    assert list(exported.nodes) == list(range(6))
-    assert exported.nodes[2]["pos"] == (4.0, 3.0)
-    assert exported.number_of_edges() == SMALL.num_edges == 5
-    assert exported.edges[1, 2]["weight"] == 3.0
-    assert SMALL.num_vertices == 6
-    assert SMALL.num_bytes == 6 * 2 * 8 + 5 * 2 * 8 + 5 * 8
-    lone = Graph(np.zeros((1, 3)), np.zeros((0, 2), dtype=np.int64))
-    np.testing.assert_array_equal(dijkstra(lone, 0)[0], [0.0])
+LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
 
 
-@pytest.mark.parametrize(
-    ("edges", "message"),
-    [
-        ([[0, 6]], "vertices 0 to 5"),
-        ([[-1, 2]], "vertices 0 to 5"),
-        ([[3, 3]], "two different vertices"),
-        ([[0, 1], [1, 0]], "listed once"),
-        ([[0, 1], [0, 1]], "listed once"),
-    ],
-)
-def test_malformed_edges_are_refused(edges, message):
-    with pytest.raises(ValueError, match=message):
-        Graph(SMALL.vertices, np.array(edges))
+@st.composite
+def searches(draw):
+    """Lengths of the ways from some points, and which of them are visible."""
+    shape = draw(st.tuples(st.integers(0, 6), st.integers(0, 50)))
+    return draw(arrays(float, shape, elements=LENGTHS)), draw(arrays(bool, shape))
+
+
+@given(searches(), st.integers(1, 5))
+def test_it_finds_what_testing_every_pair_finds(search, count):
+    lengths, visible = search
+    before = lengths.copy()
+    ways, shortest = first_visible(lengths, lambda point, way: visible[point, way], count)
+    assert ways.shape == shortest.shape == (len(lengths), count)
+    for row, seen, found, length in zip(lengths, visible, ways, shortest, strict=True):
+        seen &= ~np.isnan(row)
+        expected = np.sort(row[seen])[:count]
+        number = len(expected)
+        assert seen[found[:number]].all() and len(set(found[:number])) == number
+        np.testing.assert_array_equal(length[:number], expected)
+        np.testing.assert_array_equal(row[found[:number]], expected)
+        assert (found[number:] == -1).all() and (length[number:] == np.inf).all()
+    np.testing.assert_array_equal(lengths, before)
+
+
+def test_the_shortest_are_tested_first_and_none_twice():
+    tested = []
+
+    def sees(point, way):
+        tested.append(sorted(way.tolist()))
+        return way == 12
+
+    way, shortest = first_visible(np.arange(100.0)[None], sees)
+    assert (way[0, 0], shortest[0, 0]) == (12, 12.0)
+    assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
+
+
+def test_many_points_are_searched_in_parts(monkeypatch):
+    rng = np.random.default_rng(0)
+    lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3
+    monkeypatch.setattr("plr_jax.geometry.graph._CHUNK", 21)
+    parts = first_visible_in_parts(lambda rows: lengths[rows].copy(), 50, 7, lambda p, w: visible[p, w], 2)
+    np.testing.assert_array_equal(parts, first_visible(lengths, lambda p, w: visible[p, w], 2))
+
+
+@given(st.integers(0, 10_000))
+def test_ways_that_differ_from_point_to_point(seed):
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 6, 12)
+    lengths, visible = rng.integers(0, 9, counts.sum()).astype(float), rng.random(counts.sum()) < 0.4
+    lengths[rng.random(len(lengths)) < 0.1] = np.inf
+    owner = np.repeat(np.arange(12), counts)
+
+    def sees(point, pair):
+        np.testing.assert_array_equal(owner[pair], point)
+        return visible[pair]
+
+    pair, shortest = first_visible_of_some(lengths.copy(), counts, sees)
+    of_point = (owner == np.arange(12)[:, None]) & visible
+    np.testing.assert_array_equal(shortest, np.min(np.where(of_point, lengths, np.inf), axis=1, initial=np.inf))
+    found = np.flatnonzero(np.isfinite(shortest))
+    assert of_point[found, pair[found]].all() and (lengths[pair[found]] == shortest[found]).all()

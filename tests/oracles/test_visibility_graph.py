@@ -1,12 +1,10 @@
 """Shortest distances, paths and directions: by hand, by a plain visibility graph, and of others; files of oracles."""
 
 import csv
-import io
 import json
 import math
 import pickle
 import warnings
-import zipfile
 
 import networkx as nx
 import numpy as np
@@ -118,10 +116,7 @@ def test_the_graph_joins_what_sees_one_another(wall):
     left, right = (wall.graph.vertices.tolist().index(corner) for corner in ([4, 8], [6, 8]))
     assert {frozenset(e) for e in wall.graph.edges.tolist()} == {frozenset({0, right}), frozenset({left, right})}
     np.testing.assert_allclose(wall.distances[[0, right, left]], [0, UP, UP + 2])
-    exported = wall.to_networkx()
-    assert nx.dijkstra_path_length(exported, left, 0) == pytest.approx(UP + 2)
-    assert exported.nodes[0]["pos"] == (8.0, 4.0)
-    assert repr(wall) == "VisibilityGraph(goal=[8.0, 4.0], 2 corners, 2 edges)" and 0 < wall.num_bytes < 10_000
+    assert repr(wall) == "VisibilityGraph(goal=[8.0, 4.0], 2 corners, 2 edges)"
 
 
 def test_what_follows_from_the_rest_is_not_pickled():
@@ -345,131 +340,3 @@ def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
         else:
             with pytest.raises(ValueError, match="goal"):
                 VisibilityGraph(workspace, goal)
-
-
-BLOCKS = [shapely.box(2, 2, 4, 4), shapely.box(4, 4, 6, 6), shapely.Polygon([(6, 1), (9, 2), (7, 3)])]
-
-
-@pytest.fixture
-def path(tmp_path):
-    """A file of the oracle to (1, 1) among the blocks."""
-    VisibilityGraph(Workspace(TEN, BLOCKS), (1, 1)).save(tmp_path / "oracle.npz")
-    return tmp_path / "oracle.npz"
-
-
-@pytest.mark.parametrize(("blocks", "squeeze"), [(BLOCKS, False), (BLOCKS, True), ([], False)])
-def test_what_is_loaded_answers_alike_and_nothing_is_prepared_again(path, blocks, squeeze, monkeypatch):
-    workspace = Workspace(TEN, blocks, squeeze=squeeze)
-    oracle, x = VisibilityGraph(workspace, (1, 1)), workspace.sample_free(300, 0)
-    expected = oracle.with_goal((9, 9))(x)
-    oracle.save(path)
-    monkeypatch.setattr("plr_jax.oracles._visibility_graph.corner_visibility", None)
-    loaded = VisibilityGraph.load(path)
-    np.testing.assert_array_equal(loaded(x), oracle(x))
-    np.testing.assert_array_equal(loaded.with_goal((9, 9))(x), expected)
-    np.testing.assert_array_equal(loaded.graph.edges, oracle.graph.edges)
-    assert loaded.workspace.bounds == workspace.bounds and loaded.workspace.squeeze == squeeze
-    assert loaded.workspace.free_space.equals_exact(workspace.free_space)
-    assert all(a.equals_exact(b) for a, b in zip(loaded.workspace.obstacles, blocks, strict=True))
-
-
-def check_refused(path, message=None):
-    with pytest.raises(ValueError, match=message) as error:
-        VisibilityGraph.load(path)
-    assert str(error.value).startswith(f"{path} cannot be read as a visibility graph: ")
-
-
-def rewritten(path, **changes):
-    """Replace some arrays of a file, or leave them out where None is given."""
-    arrays = {**np.load(path), **changes}
-    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
-
-
-def wkb(geometry):
-    return np.frombuffer(shapely.to_wkb(geometry), np.uint8)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"version": 2}, "version 2, this release reads version 1"),
-        ({"key": None}, "has no key.npy"),
-        ({"goal": np.array([1, 2])}, "goal has numbers of kind i"),
-        ({"goal": np.ones(3)}, r"shape \(3,\)"),
-        ({"goal": np.array([np.nan, 1])}, "not finite"),
-        ({"goal": np.array([3.0, 3.0])}, "lies in an obstacle"),
-        ({"bounds": np.array([[1.0, 1], [0, 0]])}, "lo"),
-        ({"free_space": np.zeros(9, np.uint8)}, "cannot be read"),
-        ({"free_space": wkb(shapely.Point(1, 1))}, "free space is no valid polygon"),
-        ({"free_space": wkb(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]))}, "free space is no valid polygon"),
-        ({"free_space": wkb(shapely.box(0, 0, 10, 10))}, "one visibility polygon for each of 0 corners"),
-        ({"obstacles": wkb(shapely.Point(1, 1))}, "must be a polygon"),
-        ({"edges": np.array([[0, 99]])}, "names corners or walls"),
-        ({"edges": np.array([[0, 0]])}, "two different vertices"),
-        ({"key": np.array([object()])}, "kind O"),
-    ],
-)
-def test_nonsense_is_refused_by_name(path, changes, message):
-    rewritten(path, **changes)
-    check_refused(path, message)
-
-
-@pytest.mark.parametrize("name", ["first", "key", "edge", "cut"])
-def test_polygons_that_are_cut_short_or_out_of_order_are_refused(path, name):
-    array = np.load(path)[name]
-    for other in (array[:-1], array[:0], array + 99, array - 99):
-        rewritten(path, **{name: other})
-        check_refused(path)
-
-
-def members_of(path):
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def write_members(path, members, method=zipfile.ZIP_STORED):
-    with zipfile.ZipFile(path, "w", method) as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
-
-
-@pytest.mark.full
-def test_damaged_files_are_read_or_refused_by_name(path):
-    """Cut off, with some bits changed, and with any byte of the directory changed."""
-    data, rng = path.read_bytes(), np.random.default_rng(0)
-    with pytest.raises(OSError, match="none"):
-        VisibilityGraph.load(path.with_name("none.npz"))
-    for size in rng.integers(len(data), size=100):
-        path.write_bytes(data[:size])
-        check_refused(path)
-    directory = range(data.rindex(b"PK\5\6") - 70, len(data))
-    changes = [[(place, byte)] for place in directory for byte in (1, 0x80, 0xFF)]
-    changes += [[(place, 1 << rng.integers(8)) for place in rng.integers(len(data), size=3)] for _ in range(100)]
-    for change in changes:
-        damaged = bytearray(data)
-        for place, byte in change:
-            damaged[place] ^= int(byte)
-        path.write_bytes(damaged)
-        try:
-            VisibilityGraph.load(path)
-        except ValueError as error:
-            assert str(path) in str(error)
-
-
-@pytest.mark.parametrize(("place", "byte"), [(60, 0x35), (10, 0x03), (50, 0x40), (8, 0x46)])
-def test_headers_that_are_no_python_are_refused(path, place, byte):
-    members = members_of(path)
-    version = bytearray(members["version.npy"])
-    version[place] ^= byte
-    write_members(path, {**members, "version.npy": bytes(version)})
-    check_refused(path)
-
-
-def test_a_file_cannot_ask_for_more_than_it_holds(path):
-    """Neither by a shape that it does not fill nor by compression."""
-    members, header = members_of(path), io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
-    write_members(path, {**members, "key.npy": header.getvalue()})
-    check_refused(path, "key is incomplete")
-    write_members(path, members, zipfile.ZIP_DEFLATED)
-    check_refused(path, "compressed")
