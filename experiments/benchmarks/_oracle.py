@@ -15,7 +15,7 @@ the slit leads nowhere.
 import json
 import os
 import pickle
-import pickle
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
