@@ -87,101 +87,11 @@ class Sources:
     parents: Int[np.ndarray, "sources"]
 
 
-@runtime_checkable
-class CellSources(Protocol):
-    """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
+CellSources: TypeAlias = Any
+"""Which points the shortest paths from cells of the plane go to first: ``plr_jax.geometry.cell_sight.CellSources``.
 
-    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of its sources,
-    and at most the least of those that all of it sees, to within ``slack``. Pieces stand cell by cell, pairs piece by
-    piece, each piece with one at least; of what does not reach the goal there are none.
-
-    Attributes:
-        sources: All sources.
-        slack: By how much these bounds may err.
-        num_cells: How many cells.
-        cell: The cell of each piece.
-        pieces: Corners of the pieces, counterclockwise, ``(2, pieces, corners)``; the last is repeated.
-        center: A point inside each.
-        distance: Distance of each center; a bound of it where no source is said to see the center.
-        best: Source of each center's shortest path, of one near it where none is said to see the center.
-        piece: The piece of each pair.
-        source: The source of each pair.
-        by_all: Whether every point of the piece sees it.
-        first_piece: Where the pieces of each cell begin, and their number.
-        first_pair: Where the pairs of each piece begin, and their number.
-    """
-
-    @property
-    def sources(self) -> Sources: ...
-    @property
-    def num_cells(self) -> int: ...
-    @property
-    def cell(self) -> Int[np.ndarray, "pieces"]: ...
-    @property
-    def pieces(self) -> Float[np.ndarray, "2 pieces corners"]: ...
-    @property
-    def center(self) -> Float[np.ndarray, "pieces 2"]: ...
-    @property
-    def distance(self) -> Float[np.ndarray, "pieces"]: ...
-    @property
-    def best(self) -> Int[np.ndarray, "pieces"]: ...
-    @property
-    def piece(self) -> Int[np.ndarray, "pairs"]: ...
-    @property
-    def source(self) -> Int[np.ndarray, "pairs"]: ...
-    @property
-    def by_all(self) -> Bool[np.ndarray, "pairs"]: ...
-    @property
-    def slack(self) -> float: ...
-    @property
-    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]: ...
-    @property
-    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]: ...
-
-    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"], /) -> Bool[np.ndarray, "n k"]:
-        """Whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
-        ...
-
-    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"], /) -> Bool[np.ndarray, "n"]:
-        """Whether free points are seen by sources."""
-        ...
-
-    def rank(self, source: Int[np.ndarray, "n"], /) -> Int[np.ndarray, "n"]:
-        """The order of sources in which the first of equals is taken."""
-        ...
-
-    def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
-        """Those of some of the cells, in any order, which may be repeated."""
-        ...
-
-    def pieces_as_cells(self, pieces: Int[np.ndarray, "some"], /) -> "CellSources":
-        """Those of some of the pieces, each a cell of its own."""
-        ...
-
-    def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
-        """Those of boxes ``lo`` to ``hi``, each cut from a cell along an axis, at its upper or lower end."""
-        ...
-
-    def append(self, *others: Any) -> "CellSources":
-        """Those of these cells followed by others."""
-        ...
-
-
-@runtime_checkable
-class FamilyCellSources(CellSources, Protocol):
-    """Those of distinct cells of several distance functions: of cells that are alike but for a constant, one."""
-
-    def views(self, source: Int[np.ndarray, "n"], /) -> Int[np.ndarray, "n"]:
-        """Which point each of some sources is: a corner, by its number, or a goal, by its number and all corners'."""
-        ...
-
-    def distinct_parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, box: Any, /) -> Any:
-        """Of parts of cells, as of ``parts``, and hashes of their boxes, the distinct ones.
-
-        Returns:
-            The distinct ones, their keys, the index of one part that each is, and of each part which one it is.
-        """
-        ...
+Code that works without Shapely names the class by this alias.
+"""
 
 
 @runtime_checkable
@@ -202,7 +112,7 @@ class FamilyFn(Protocol):
         """Sources of these boxes for some of a family.
 
         Returns:
-            The distinct ones as :class:`FamilyCellSources`, their keys, and which of them each box is for each
+            The distinct ones as ``FamilySources``, their keys, and which of them each box is for each
             function, ``(fns, boxes)``, -1 where nothing reaches the goal.
         """
         ...
@@ -235,7 +145,7 @@ class ChangingFn(CellwiseFn, Protocol):
     def sources(self) -> Sources: ...
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
-        """Those of boxes as cells, whatever they are parts of."""
+        """Those of boxes as cells, whatever the boxes are parts of."""
         ...
 
     def changed_since(self, before: Any, /) -> Any:

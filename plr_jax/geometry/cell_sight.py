@@ -12,7 +12,7 @@ of the piece is seen or hidden, as its center is.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -30,16 +30,19 @@ from plr_jax.geometry.convex_pieces import (
     clip_to_boxes,
     contain,
     cut_parts,
+    difference_of_cones,
     following,
     highest,
     lowest,
 )
-from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _ROUNDING = 1e-3  # of a direction or a point, in tolerances of the workspace
+_LEAD = 1 / 128
+"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
 _CHUNK = 1 << 16  # pairs of a piece and a source that are tested together where there are many
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
@@ -188,12 +191,14 @@ class Sight:
         shadows: What the viewpoints see.
         turns: The turns.
         triangulation: Of free space.
+        has_goal: Whether the distances of the sources to a goal are known.
     """
 
     named: Any
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
+    has_goal: bool
 
     @property
     def tolerance(self) -> float:
@@ -217,10 +222,14 @@ class Sight:
 
 
 @dataclass(frozen=True, eq=False)
-class CellSight:
+class CellSources:
     """The free convex pieces of cells, and pairs of a piece and a source that some point of it may go to first.
 
-    Pieces stand cell by cell, pairs piece by piece. Every statement holds to within :attr:`slack`.
+    Pieces stand cell by cell, pairs piece by piece. If distances of sources are known, the distance of a point of a
+    piece is at least the least ``distances[s] + |x - points[s]|`` of its sources. It is at most the least of the
+    sources that all of the piece sees. Each piece has a source: pieces from which no path leads to the goal are left
+    out.
+    Every statement holds to within :attr:`slack`.
 
     Attributes:
         sight: What decides which sources a piece may use.
@@ -248,6 +257,8 @@ class CellSight:
     piece: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
     by_all: Bool[np.ndarray, "pairs"]
+    is_family: ClassVar[bool] = False
+    """Whether equal cells of several goals are one."""
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
@@ -270,6 +281,31 @@ class CellSight:
     def slack(self) -> float:
         """How far any bound may be off, as free space is known to a tolerance."""
         return 4 * self.sight.tolerance
+
+    @property
+    def sources(self) -> Sources:
+        """All sources."""
+        return self.sight.named.sources
+
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
+        """Return whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
+        return contain(self.pieces[:, piece], points, self.sight.tolerance)
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Return whether points of free space are seen by sources."""
+        return self.sight.shadows.table.sees(self.views(source), points)
+
+    def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the viewpoint of each source. Of one goal viewpoints are numbered as sources."""
+        return self.sight.named.view[source]
+
+    def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the order of sources in which the first of equals is taken."""
+        return self.sight.named.kind[source]
+
+    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
+        """Return some pieces, each a cell of its own."""
+        return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
     def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
@@ -354,10 +390,53 @@ class CellSight:
         return replace(found.of_pieces(kept), num_cells=len(lo)).settled((changed | is_merged)[kept])
 
     def settled(self, changed: OfPieces) -> Self:
-        """Leave out sources at which no path from a changed piece turns, or which no point of it sees."""
-        found = self.recentered(changed)
-        by_all, _, keep = found.judged(np.flatnonzero(changed[self.piece]))
-        return replace(found, by_all=by_all).of_pairs(keep)
+        """Leave out sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
+
+        If distances of sources are known, pieces from which no path leads to the goal are left out as well.
+        """
+        found, has_goal = self.recentered(changed), self.sight.has_goal
+        by_all, by_center, keep = found.judged(
+            np.flatnonzero(changed[found.piece] & ~(found.by_all if has_goal else False))
+        )
+        if not has_goal:
+            return replace(found, by_all=by_all).of_pairs(keep)
+        # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
+        keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
+        return replace(found, by_all=by_all).of_pairs(keep).undominated(changed, by_center[keep])
+
+    def undominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
+        """Find the distances of the centers of changed pieces, and leave out pairs that another one beats everywhere.
+
+        A center that no source is known to see keeps the bound of its distance. A source is also beaten where the way
+        by the center is shorter from every point of the piece.
+        """
+        sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
+        # 1. The best source of each center: of equals one that all of the piece sees.
+        piece, source = self.piece[pairs], self.source[pairs]
+        length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
+        order = np.lexsort((self.rank(source), ~self.by_all[pairs], length, piece))
+        order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
+        best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
+        best_pair[piece[order]], distance[piece[order]], best[piece[order]] = (
+            pairs[order],
+            length[order],
+            source[order],
+        )
+        # 2. Other sources, against the best one if all of the piece sees it, else against the way by the center.
+        by_best = np.append(self.by_all, False)[best_pair]
+        several = np.bincount(self.piece, minlength=len(changed)) > 1
+        rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])
+        rivals = rivals[best_pair[self.piece[rivals]] != rivals]
+        piece, source = self.piece[rivals], self.source[rivals]
+        apex = np.where(by_best[piece, None], sources.points[best[piece]], self.center[piece])
+        offset = np.where(by_best, sources.distances[best], distance)[piece]
+        lowest, _ = difference_of_cones(
+            self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
+        )
+        keep = np.isfinite(distance)[self.piece]
+        keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
+        found = replace(self, distance=distance, best=best).of_pairs(keep)
+        return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
 
     def recentered(self, changed: OfPieces) -> Self:
         """Find the centers of changed pieces, and an upper bound of their distances: by way of the center before.
@@ -385,6 +464,20 @@ class CellSight:
         return by_all, by_center, keep
 
 
+def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
+    """Return what decides which of the sources of one goal a piece may use: the goal, then the corners."""
+    each = np.arange(len(sources.points))
+    turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
+    turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
+    return Sight(SightedSources(sources, each, turn, each), Shadows.of(table), turns, triangulation, True)
+
+
+def lists_of_goal(regions: TurnRegions) -> SourceLists:
+    """Return the sources that points of each triangle may use: the goal, and the turns that see some of it."""
+    first, turns = regions.first, regions.turns.vertex[regions.turn]
+    return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
+
+
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
     """Return what decides at which corners paths from a piece may turn first, towards any goal.
 
@@ -393,11 +486,11 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     named = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
-    return Sight(named, Shadows.of(visibility.table), turns, triangulation)
+    return Sight(named, Shadows.of(visibility.table), turns, triangulation, False)
 
 
 def corners_of_cells(
-    found: CellSight,
+    found: CellSources,
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
     """Return the corners at which paths from each cell may turn first, of sources as :func:`corner_sight` has them.
 

@@ -14,7 +14,8 @@ from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import Sight
+from plr_jax.geometry.cell_family import FamilySources, SharedCells
+from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances
 from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility
 from plr_jax.geometry.convex_pieces import areas
@@ -30,7 +31,6 @@ from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
-from plr_jax.oracles._cell_sources import FamilySources, SharedCells, VisibleSources, goal_sight, lists_of_goal
 from plr_jax.oracles._changed_distances import changed_distances
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -184,7 +184,7 @@ class VisibilityGraph:
         table = joined_tables([self._goal_table, self._corners.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
-    def cell_sources(self, domain: Box) -> VisibleSources:
+    def cell_sources(self, domain: Box) -> CellSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
 
         Args:
@@ -212,7 +212,7 @@ class VisibilityGraph:
             )
         return found
 
-    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> VisibleSources:
+    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
         """As :meth:`cell_sources`, of boxes as cells, whatever they are parts of.
 
         Args:
@@ -222,7 +222,7 @@ class VisibilityGraph:
         Returns:
             The pieces of free space in them, and their sources.
         """
-        return VisibleSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
+        return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
         """How distances have changed since another oracle of the same goal.

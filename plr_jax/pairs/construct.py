@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import run_members, shortened
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import CellSight, corner_sight, corners_of_cells, turns_by_triangle
+from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.triangulation import Triangulation
@@ -138,7 +138,7 @@ class _ListTree:
     key: Float[np.ndarray, "nodes"]
     is_leaf: Bool[np.ndarray, "nodes"]
     parent: Int[np.ndarray, "nodes"]
-    visible: CellSight
+    visible: CellSources
 
     def __len__(self) -> int:
         return int(self.is_leaf.sum())
@@ -151,7 +151,7 @@ class _ListTree:
 
 
 def grow_lists(
-    root: CellSight, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
+    root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
     """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
     lists = lists_of(root, Cells.root(2))
@@ -198,12 +198,12 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     )
 
 
-def lists_of(visible: CellSight, cells: Cells) -> Lists:
+def lists_of(visible: CellSources, cells: Cells) -> Lists:
     """The lists of cells, of which it is known what they see."""
     return Lists(cells, *corners_of_cells(visible))
 
 
-def keys_of(visible: CellSight, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
+def keys_of(visible: CellSources, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
     """Free area of each cell times how many of its corners are not seen by all of it; 0 where it is to stay."""
     area = np.bincount(visible.cell, areas(visible.pieces), len(lists.cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(lists.cells))
@@ -243,10 +243,10 @@ def corners_seen(
     triangulation: Triangulation,
     lo: Float[np.ndarray, "cells 2"],
     hi: Float[np.ndarray, "cells 2"],
-) -> CellSight:
+) -> CellSources:
     """Return at which corners paths from boxes, each a cell, may turn first."""
     lists = turns_by_triangle(visibility, triangulation)
-    return CellSight.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
+    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
 def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:

@@ -13,7 +13,7 @@ import plr_jax
 from plr_jax import ConstructionInterrupted, VisibilityGraph, construct, load, save, scenes, solve_eikonal
 from plr_jax.cli.app import saying
 from plr_jax.cli.inputs import NamedMap
-from plr_jax.oracles._cell_sources import VisibleSources
+from plr_jax.geometry.cell_sight import CellSources
 from plr_jax.plr.leaves import leaf_names
 
 MAZE = scenes.maze().workspace
@@ -126,7 +126,7 @@ def test_a_goal_of_two_arguments_is_told_how_to_be_one():
 
 def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkeypatch):
     calls, last_call = [], 4
-    parts = VisibleSources.parts
+    parts = CellSources.parts
 
     def interrupt_later(self, *arguments):
         calls.append(len(arguments))
@@ -134,7 +134,7 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkey
             raise KeyboardInterrupt
         return parts(self, *arguments)
 
-    monkeypatch.setattr(VisibleSources, "parts", interrupt_later)
+    monkeypatch.setattr(CellSources, "parts", interrupt_later)
     result = run("build", "maze", "-o", path, "--leaf", "plane")
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)

@@ -9,7 +9,7 @@ from piece_helpers import TEN, WORKSPACES, as_pieces, box, fan_workspace, points
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.boundary import triangulate
-from plr_jax.geometry.cell_sight import CellSight, Shadows, corner_sight, corners_of_cells, turns_by_triangle
+from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.visibility import Viewpoints, joined_tables, visibility_of
@@ -127,7 +127,7 @@ def test_boxes_are_one_piece_if_no_wall_reaches_into_them(seed):
     visibility, triangulation = corner_visibility(workspace), workspace.triangulation
     lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
     lists = turns_by_triangle(visibility, triangulation)
-    found = CellSight.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
+    found = CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
     walls = shapely.multilinestrings(list(shapely.linestrings(workspace.boundary.segments)))
     reach = shapely.length(shapely.intersection(walls, shapely.box(*(lo + 1e-9).T, *(hi - 1e-9).T)))
     is_free = np.isin(np.arange(30), found.cell[found.triangle < 0])

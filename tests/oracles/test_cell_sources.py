@@ -9,8 +9,8 @@ from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
 from plr_jax import Box, VisibilityGraph, Workspace
+from plr_jax.geometry.cell_family import SharedSources
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.oracles._cell_sources import SharedSources
 from plr_jax.plr.tree import Cells
 
 SEEDS = st.integers(0, 100_000)

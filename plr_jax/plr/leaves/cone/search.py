@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import run_members
-from plr_jax._types import CellSources, FamilyCellSources, FamilyFn, Sources
+from plr_jax._types import CellSources, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import EXACT, POOR, BoxLevel, Forest, PricedTree, PriceSearch, Thrift, may_halve
@@ -85,7 +85,7 @@ class ConeBoxes:
         """
         cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
         lo, hi = cells.grown_boxes(self.domain)
-        if isinstance(visible, FamilyCellSources):
+        if visible.is_family:
             found, key, first, index = visible.distinct_parts(parent, axis, is_upper, lo, hi, cells.hashes())
             new = _first_of_new(key, known)
             rows, found, of_half = first[new], found.of_cells(new), key[index]
@@ -100,11 +100,6 @@ def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known
     """Where each distinct key that is not known stands first, in this order."""
     distinct, first = np.unique(key, return_index=True)
     return np.sort(first[~np.isin(distinct, known)])
-
-
-def views_of(visible: CellSources, source: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-    """Viewpoints of sources, of which those of a single goal are one each."""
-    return visible.views(source) if isinstance(visible, FamilyCellSources) else source
 
 
 def resolved_error(distances: Float[np.ndarray, "n"]) -> float:
@@ -220,7 +215,7 @@ def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) ->
 def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
     """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
     source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
-    source[source >= 0] = views_of(levels[0].boxes.visible, source[source >= 0])
+    source[source >= 0] = levels[0].boxes.visible.views(source[source >= 0])
     return source
 
 
@@ -283,7 +278,7 @@ def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: P
     error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
     largest, integral = errors_of_options(some.visible, place, source)
     area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
-    view, is_own = views_of(boxes.visible, source), source == boxes.source[box]
+    view, is_own = boxes.visible.views(source), source == boxes.source[box]
     first = np.searchsorted(box, np.arange(len(key) + 1))
     return Options(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
 

@@ -1,12 +1,8 @@
-"""Which sources the points of cells may go to first on their way to a goal: for one goal, or for many at once.
-
-A source is the goal or a corner, with its distance to the goal. A point uses a source if its shortest path goes
-straight there first.
-"""
+"""Which sources the points of cells may go to first on their way to many goals of one workspace at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -15,113 +11,20 @@ from plr_jax._arrays import mixed
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import (
-    CellSight,
-    OfPieces,
+    CellSources,
     Shadows,
-    Sight,
-    SightedSources,
-    SourceLists,
     corner_sight,
     turns_by_triangle,
 )
-from plr_jax.geometry.convex_pieces import PartCorner, PartIndex, PartSide, contain, difference_of_cones
-from plr_jax.geometry.corners import CornerVisibility, TurnPoints, TurnRegions
+from plr_jax.geometry.convex_pieces import PartCorner, PartIndex, PartSide
+from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
-_LEAD = 1 / 128
-"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
 _STEP = 2.0**-44  # of the domain's width: in such steps distances beyond the least are kept
 
 GoalTurns = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
 """What a goal sees, and the kinds of the corners that may bend a shortest path to it, with their distances."""
-
-
-class VisibleSources(CellSight):
-    """The sources of cells, of which those are left out that no point of a piece needs.
-
-    The distance of each center is known. Pieces from which the goal cannot be reached are left out.
-    """
-
-    @property
-    def sources(self) -> Sources:
-        """All sources."""
-        return self.sight.named.sources
-
-    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
-        return contain(self.pieces[:, piece], points, self.sight.tolerance)
-
-    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points are seen by sources."""
-        return self.sight.shadows.table.sees(self.sight.named.view[source], points)
-
-    def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the order of sources in which the first of equals is taken."""
-        return self.sight.named.kind[source]
-
-    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some pieces, each a cell of its own."""
-        return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
-
-    def settled(self, changed: OfPieces) -> Self:
-        """Leave out sources of changed pieces that no point of them uses, and pieces from which no path leads on."""
-        found = self.recentered(changed)
-        by_all, by_center, keep = found.judged(np.flatnonzero(changed[found.piece] & ~found.by_all))
-        # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
-        keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
-        return replace(found, by_all=by_all).of_pairs(keep).undominated(changed, by_center[keep])
-
-    def undominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Find the distances of the centers of changed pieces, and leave out pairs that another one beats everywhere.
-
-        A center that no source is known to see keeps the bound of its distance. A source is also beaten where the way
-        by the center is shorter from every point of the piece.
-        """
-        sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
-        # 1. The best source of each center: of equals one that all of the piece sees.
-        piece, source = self.piece[pairs], self.source[pairs]
-        length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
-        order = np.lexsort((self.rank(source), ~self.by_all[pairs], length, piece))
-        order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
-        best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
-        best_pair[piece[order]], distance[piece[order]], best[piece[order]] = (
-            pairs[order],
-            length[order],
-            source[order],
-        )
-        # 2. Other sources, against the best one if all of the piece sees it, else against the way by the center.
-        by_best = np.append(self.by_all, False)[best_pair]
-        several = np.bincount(self.piece, minlength=len(changed)) > 1
-        rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])
-        rivals = rivals[best_pair[self.piece[rivals]] != rivals]
-        piece, source = self.piece[rivals], self.source[rivals]
-        apex = np.where(by_best[piece, None], sources.points[best[piece]], self.center[piece])
-        offset = np.where(by_best, sources.distances[best], distance)[piece]
-        lowest, _ = difference_of_cones(
-            self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
-        )
-        keep = np.isfinite(distance)[self.piece]
-        keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
-        found = replace(self, distance=distance, best=best).of_pairs(keep)
-        return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
-
-
-def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return what decides which of the sources of one goal a piece may use: the goal, then the corners."""
-    each = np.arange(len(sources.points))
-    turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
-    turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
-    return Sight(SightedSources(sources, each, turn, each), Shadows.of(table), turns, triangulation)
-
-
-def lists_of_goal(regions: TurnRegions) -> SourceLists:
-    """Return the sources that points of each triangle may use: the goal, and the turns that see some of it."""
-    first, turns = regions.first, regions.turns.vertex[regions.turn]
-    return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
-
-
-# Many goals of one workspace.
 
 
 class SharedSources:
@@ -183,8 +86,10 @@ class SharedSources:
         return self._sources
 
 
-class FamilySources(VisibleSources):
+class FamilySources(CellSources):
     """The sources of distinct cells: of cells of several goals that are alike but for a constant, one."""
+
+    is_family: ClassVar[bool] = True
 
     def distinct_parts(
         self,
@@ -204,10 +109,6 @@ class FamilySources(VisibleSources):
         changed = changed[np.isin(inherited.cell, first)]
         settled = inherited.of_cells(first).with_free_boxes(changed, lo[first], hi[first]).counted_from_least()
         return settled, settled.keys(cell[first]), first, index
-
-    def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the viewpoints of sources: corners in their order, then goals in theirs."""
-        return self.sight.named.view[source]
 
     def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
         """Return a hash of each cell: of its box, given by a hash, and of its pieces and pairs."""
@@ -242,7 +143,7 @@ class SharedCells:
     """
 
     corners: CornerVisibility
-    cells: CellSight
+    cells: CellSources
     radius: Float[np.ndarray, "pieces"]
     length: Float[np.ndarray, "pairs"]
     by_center: Bool[np.ndarray, "pairs"]
@@ -254,7 +155,7 @@ class SharedCells:
     ) -> "SharedCells":
         """Return what goals share of some boxes in a domain."""
         lists = turns_by_triangle(corners, triangulation)
-        cells = CellSight.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
+        cells = CellSources.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
         radius = np.sqrt(np.square(cells.pieces - cells.center.T[:, :, None]).sum(axis=0).max(axis=1))
         view, center = cells.source >> 1, cells.center[cells.piece]
         length = np.linalg.norm(center - corners.corners.points[view], axis=1)
@@ -267,7 +168,7 @@ class SharedCells:
         """Return the distinct cells of all goals, their keys, and which one each goal's cells are, -1 for none."""
         cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
         named = SharedSources(table.points, len(cells.sight.turns.points), self.step)
-        sight = replace(cells.sight, named=named, shadows=Shadows.of(table))
+        sight = replace(cells.sight, named=named, shadows=Shadows.of(table), has_goal=True)
         # 1. All cells of all goals: pairs sorted by goal, piece and kind.
         of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight.shadows)
         order = np.lexsort((kind, piece, of_goal))
