@@ -7,7 +7,7 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import (
     UNIT,
@@ -61,7 +61,6 @@ def test_what_is_built_is_what_its_file_holds_and_what_is_pickled(model, tmp_pat
     np.testing.assert_array_equal(np.asarray(again(x)).view(np.int32), np.asarray(plr(x)).view(np.int32))
 
 
-@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 3, 18]), leaf=st.sampled_from(MODELS))
 def test_what_is_read_is_what_was_written(seed, dim, leaf):
     contents = random_contents(seed, min(dim, {"plane": 18, "continuous": 3, "smooth": 2}[leaf]), leaf)

@@ -1,16 +1,19 @@
-"""Planes: what a query answers, how they are rounded to few bits, and how they are written."""
+"""Leaf models' names and codes; planes: what a query answers, how they are rounded, and how they are written."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, random_partition, walled
 
 from plr_jax import Box, BuildOptions
-from plr_jax.plr import Plane, construct
+from plr_jax.plr import Continuous, Plane, construct
 from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_of_code
+from plr_jax.plr.leaves.base import linear_mean_planes
+from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
     StoredPlanes,
@@ -21,6 +24,57 @@ from plr_jax.plr.leaves.plane import (
     write_planes,
 )
 from plr_jax.plr.tree import Cells
+
+# Leaf models: their names and codes, and what holds of the numbers of every model with free parameters.
+
+
+MODELS = {"plane": Plane(), "continuous": Continuous(order=0), "smooth": Continuous(order=1), "cone": Cone()}
+
+
+@pytest.mark.parametrize(("code", "name"), list(enumerate(MODELS)))
+def test_every_model_has_a_name_and_a_code_that_stay(code, name):
+    model = MODELS[name]
+    assert leaf_model(name) == leaf_of_code(code) == leaf_model(model) == model
+    assert code_of_leaf(model) == code and model.name == name
+
+
+def test_options_of_a_model_do_not_change_its_code_but_compiled_queries_are_told_apart_by_them():
+    assert code_of_leaf(Plane(coefficient_bits=16)) == 0
+    assert leaf_model(Plane(coefficient_bits=16)).coefficient_bits == 16
+    assert len({Plane(), Plane(), Plane(coefficient_bits=8), Continuous(), Continuous(order=0)}) == 3
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("make", "wrong", "message"),
+    [
+        (leaf_model, "cubic", "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
+        (leaf_model, 7, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
+        (leaf_of_code, 4, "it has leaves of kind 4, this release knows kinds 0 to 3"),
+        (lambda order: Continuous(order=order), 2, "order must be 0 or 1, got 2"),
+        *(
+            (lambda bits: Plane(coefficient_bits=bits), bits, f"bits must be 32 .floats. or 4 to 20, got {bits}")
+            for bits in (3, 21, 31, 33, 0, -1)
+        ),
+        (lambda bits: Plane(coefficient_bits=bits), 8.5, "coefficient_bits"),
+    ],
+)
+def test_what_is_no_model_is_refused(make, wrong, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        make(wrong)
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_coefficients_of_planes_are_planes(leaf, dim):
+    model, rng = leaf_model(leaf), np.random.default_rng(0)
+    center, half, u = rng.normal(size=5), rng.normal(size=(5, dim)), rng.uniform(-1, 1, size=(30, dim))
+    coefficients = model.of_planes(center, half)
+    np.testing.assert_allclose(coefficients @ model.basis(u).T, center[:, None] + half @ u.T, atol=1e-12)
+    for found, expected in zip(linear_mean_planes(model, coefficients, dim), (center, half), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+# Planes: what a query answers, how they are rounded to few bits, and how they are written.
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +131,6 @@ def test_numbers_are_the_value_at_the_corner_and_the_slopes():
     np.testing.assert_allclose(numbers, [[3 + 10 - 2, 5, -2]])
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 1000), bits=st.integers(4, 20), scale=st.sampled_from([1e-6, 1.0, 1e6]))
 def test_rounding_is_within_half_a_step(seed, bits, scale):
     rng = np.random.default_rng(seed)
@@ -113,7 +166,6 @@ def test_widths_hold_the_largest_half_difference_of_their_depth(bits, expected):
     assert [widths.tolist() for widths in planes.widths(depth)] == expected
 
 
-@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 5), bits=st.sampled_from([4, 11, 16, 20, 32]))
 def test_what_is_read_is_what_was_written(seed, dim, bits):
     rng, depth = np.random.default_rng(seed), random_partition(seed, dim, 30).depth

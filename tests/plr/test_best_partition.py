@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from plr_jax.plr import best_partition as levels
+from plr_jax.plr import best_partition
 from plr_jax.plr.best_partition import BoxLevel, PriceSearch
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, grow
@@ -17,7 +17,7 @@ from plr_jax.plr.tree import Cells
 @pytest.fixture(autouse=True)
 def boxes_of_all_shapes(monkeypatch):
     """Of three splits along each axis none is too long for the trees that all are compared with."""
-    monkeypatch.setattr(levels, "MAX_ASPECT_BITS", 3)
+    monkeypatch.setattr(best_partition, "MAX_ASPECT_BITS", 3)
 
 
 DEPTH = 3
@@ -99,7 +99,7 @@ def hull(least):
         best.append(int(more[np.flatnonzero(rate == price)[-1]]))
 
 
-def limits(**given):
+def limits_for(**given):
     none = {"max_depth": 60, "max_axis_depth": DEPTH, "max_leaves": 10**9, "max_bytes": np.inf, "tolerance": 0.0}
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
 
@@ -110,8 +110,8 @@ def size(member, tree):
 
 def best_boxes(root, **given):
     levels = [BoxLevel.of(root, root.cells.hashes())]
-    search = PriceSearch(levels, np.zeros(1, np.int64), limits(**given), size)
-    (tree,) = grow(search.first(), search.next, limits(**given)).trees
+    price_search = PriceSearch(levels, np.zeros(1, np.int64), limits_for(**given), size)
+    (tree,) = grow(price_search.first(), price_search.next, limits_for(**given)).trees
     first, *others = (level.boxes[box] for level, box in zip(levels, tree.leaves, strict=False))
     return first.append(*others)
 
@@ -173,7 +173,7 @@ def test_no_tree_is_deeper_than_allowed_and_nothing_cheaper_is_left(max_depth):
 
 def test_no_axis_is_halved_more_often_and_no_box_is_longer_than_allowed(monkeypatch):
     assert search(random_costs(0), max_axis_depth=1)[2].cells.depth.max() == 1
-    monkeypatch.setattr(levels, "MAX_ASPECT_BITS", 1)
+    monkeypatch.setattr(best_partition, "MAX_ASPECT_BITS", 1)
     for seed in range(4):
         assert np.ptp(search(random_costs(seed))[2].cells.depth, axis=1).max() <= 1
 
@@ -195,7 +195,7 @@ def test_boxes_without_error_are_leaves():
 
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):
     whole = search(random_costs(5), max_leaves=20)
-    monkeypatch.setattr(levels, "AT_ONCE", 3)
+    monkeypatch.setattr(best_partition, "AT_ONCE", 3)
     parts = search(random_costs(5), max_leaves=20)
     assert parts[:2] == whole[:2]
     np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)

@@ -1,0 +1,460 @@
+"""Cones of an oracle: small, exact, above other leaves within bounds, in files, and repaired where a map changes."""
+
+import tracemalloc
+from dataclasses import replace
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
+from plr_helpers import UNIT, leaf_by_search, points
+
+from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
+from plr_jax.plr import construct
+from plr_jax.plr._plr import leaf_of
+from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PriceSearch, Thrift
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.leaves.cone import search
+from plr_jax.plr.leaves.cone.codec import (
+    StoredCones,
+    StoredSources,
+    read_cones,
+    store_sources,
+    write_cones,
+)
+from plr_jax.plr.sampling import sample_pattern
+
+# Cones of an oracle: small, exact, evaluated as cones, above other leaves within bounds, of sources in sight.
+
+
+@pytest.fixture(scope="module")
+def maze():
+    """The oracle of a maze."""
+    problem = scenes.maze()
+    return VisibilityGraph(problem.workspace, problem.goals[0])
+
+
+@pytest.fixture(scope="module")
+def cones(maze):
+    """Its cones in a kilobyte."""
+    return construct(maze, UNIT, leaf="cone", max_bytes=1024)
+
+
+def mean_error(plr, oracle, x):
+    return np.abs(np.asarray(plr(x), float) - oracle(x)).mean()
+
+
+def test_a_maze_in_a_kilobyte_less_and_of_fewer_leaves(cones, maze):
+    x = maze.workspace.sample_free(20_000, 0)
+    assert cones.num_bytes <= 1024 and mean_error(cones, maze, x) < 1e-6
+    small, few = (construct(maze, UNIT, leaf="cone", **limit) for limit in ({"max_bytes": 260}, {"max_leaves": 20}))
+    assert small.num_bytes <= 260 and few.num_leaves <= 20
+    assert mean_error(small, maze, x) < 1e-5 < mean_error(few, maze, x) < 0.1
+
+
+@pytest.mark.full
+def test_a_leaf_among_clutter_takes_little_memory():
+    """All pairs of 400 corners and the triangles of free space took a gigabyte, of more corners all there was."""
+    free = np.ones((60, 60), bool)
+    free[3::6, 3::6] = False
+    workspace = Workspace.from_mask(free)
+    oracle = VisibilityGraph(workspace, (1, 1))
+    construct(oracle, workspace.bounds, max_leaves=1)
+    tracemalloc.start()
+    construct(oracle, workspace.bounds, leaf="cone", max_leaves=1)
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
+
+
+def test_a_query_is_the_cone_of_the_points_leaf_around_a_source_of_the_oracle(cones, maze):
+    offset, apex = cones._coefficients[:, 0], cones._coefficients[:, 1:]
+    away = np.linalg.norm(apex[:, None] - maze.sources.points, axis=2)
+    np.testing.assert_allclose(away.min(axis=1), 0, atol=1e-7)
+    np.testing.assert_allclose(offset, maze.sources.distances[away.argmin(axis=1)], atol=1e-6)
+    x = points(1000, 0).astype(np.float32).astype(float)
+    leaf = leaf_by_search(cones, x)
+    leg = x - apex[leaf]
+    length = np.hypot(*leg.T)
+    np.testing.assert_allclose(np.asarray(cones(x)), offset[leaf] + length, atol=1e-6)
+    np.testing.assert_allclose(cones.values_in_leaves(leaf, x), offset[leaf] + length, rtol=1e-14)
+    gradient = np.asarray(jax.vmap(jax.grad(cones))(jnp.asarray(x, jnp.float32)))  # leads away from the source
+    np.testing.assert_allclose(gradient[length > 0.01], (leg / length[:, None])[length > 0.01], atol=1e-4)
+
+
+def test_the_gradient_is_zero_at_a_source():
+    goal = jnp.array([0.25, 0.5])
+    plr = construct(VisibilityGraph(Workspace(((0, 0), (1, 1))), goal), UNIT, leaf="cone", max_leaves=1)
+    assert plr(goal) == 0
+    np.testing.assert_array_equal(jax.grad(plr)(goal), [0, 0])
+    assert np.isfinite(jax.grad(plr)(goal + 1e-7)).all()
+
+
+def test_mean_planes_are_differences_of_the_cone(cones):
+    lo, hi = cones.leaf_boxes
+    center, width = (lo + hi) / 2, hi - lo
+
+    def cone(x):
+        return cones.values_in_leaves(np.arange(cones.num_leaves), x)
+
+    for axis, step in enumerate(np.eye(2)[:, None] * width / 2):
+        slope = (cone(center + step) - cone(center - step)) / width[:, axis]
+        np.testing.assert_allclose(cones.slope[:, axis], slope, atol=1e-9)
+    np.testing.assert_allclose(cones.intercept + (cones.slope * center).sum(axis=1), cone(center), atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "terms"), [("cone", 3), ("plane", 3), ("continuous", 4), ("smooth", 16)])
+def test_cones_are_above_leaves_within_their_bounds(name, terms):
+    """Whatever a leaf holds: at random points of pieces in its box cones minus it are between what is proven."""
+    leaf, rng = leaf_model(name), np.random.default_rng(3)
+    pieces = random_pieces(rng, 60, 1.5)
+    lo, hi = pieces.min(axis=2).T - rng.random((60, 2)), pieces.max(axis=2).T + rng.random((60, 2))
+    coefficients = rng.normal(size=(60, terms)) + (np.array([0, 5, 5]) if name == "cone" else 0)
+    apex, offset = rng.uniform(0, 10, (60, 2)), rng.normal(size=60)
+    apex[::4] = pieces.mean(axis=2).T[::4]
+    low, high = leaf.below_cones(lo, hi, coefficients, pieces, apex, offset)
+    for x in points_of(rng, pieces, 400).swapaxes(0, 1):
+        value = offset + np.linalg.norm(x - apex, axis=1) - leaf.values(lo, hi, coefficients, x)
+        assert (low <= value + 1e-9).all() and (value <= high + 1e-9).all()
+    assert (high - low < 40).all()
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+def test_partitions_of_random_workspaces_tile_the_domain(kind):
+    workspace = kind(np.random.default_rng(2))
+    oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
+    plr = construct(oracle, Box((-1, -1), (11, 11)), leaf="cone", max_leaves=50)
+    assert 10 < plr.num_leaves <= 50
+    leaf_by_search(plr, -1 + 12 * points(500, 0))
+    x = workspace.sample_free(3000, 1)
+    assert mean_error(plr, oracle, x[np.isfinite(oracle(x))]) < 0.2
+
+
+def test_where_nothing_is_reached_and_for_too_few_bytes_the_construction_says_so(maze):
+    oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
+    with pytest.raises(ValueError, match="nothing reachable"):
+        construct(oracle, ((7, 0), (10, 10)), leaf="cone")
+    with pytest.raises(ValueError, match="max_bytes=20 is too small: one leaf takes"):
+        construct(maze, UNIT, leaf="cone", max_bytes=20)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"distance_fn": lambda x: np.abs(x[:, 0])}, "Use leaf='continuous' for any other"),
+        ({"domain": ((0, 0, 0), (1, 1, 1)), "distance_fn": lambda x: x[:, 0]}, "in 3 dimensions"),
+        ({"options": BuildOptions(weight_fn=lambda x: 1 + x[:, 0])}, "or use leaf='continuous'"),
+        ({"options": BuildOptions(should_split=maximum_depth)}, "or use leaf='continuous'"),
+        ({"options": BuildOptions(split=cyclic_axis)}, "or use leaf='continuous'"),
+    ],
+)
+def test_cones_are_not_found_from_samples(maze, options, message):
+    with pytest.raises(ValueError, match=message):
+        construct(**{"distance_fn": maze, "domain": UNIT, "leaf": "cone", "max_leaves": 9, **options})
+
+
+@pytest.mark.parametrize("max_bytes", [261, 661])
+def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
+    x, plrs = maze.workspace.sample_free(20_000, seed=0), []
+    for choose in (search.sources_in_sight, lambda tree, options, fits: tree.source):
+        monkeypatch.setattr(search, "sources_in_sight", choose)
+        plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=max_bytes, certified=True))
+    plr, before = plrs
+    assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
+    assert plr.max_error <= before.max_error * (1 + 1e-6)
+    sources = (each.stored.sources.points[each.stored.source[leaf_of(each, x)]] for each in plrs)
+    hidden, hidden_before = (1 - maze.workspace.is_visible(x, source).mean() for source in sources)
+    assert hidden < 0.25 * hidden_before and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
+
+
+def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maze, monkeypatch):
+    changes, choose = [], search.sources_in_sight
+
+    def with_few(tree, options, fits):
+        for most in (0, 3, 10**9):
+            source = choose(tree, options, lambda source, most=most: (source != tree.source).sum() <= most)
+            changes.append(np.where(source != tree.source, source, -1))
+        return source
+
+    monkeypatch.setattr(search, "sources_in_sight", with_few)
+    construct(maze, UNIT, leaf="cone", max_leaves=200)
+    none, few, many = changes
+    assert [(each >= 0).sum() for each in (none, few)] == [0, 3] and (many >= 0).sum() > 5
+    assert (few == many)[few >= 0].all()
+    changes.clear()
+    assert construct(VisibilityGraph(Workspace(UNIT), (0.1, 0.1)), UNIT, leaf="cone", max_bytes=128).num_leaves == 1
+    assert (np.array(changes) < 0).all()
+
+
+# Sources and ranks of cones in files: on the lattice of a map, as parents of one another, read as written.
+
+
+LATTICES = {"integers": 1.0, "hundredths": 0.01, "quarters": 0.25, "thirds": 1 / 3, "none": None}
+
+
+def random_sources(rng, dim, count, lattice):
+    """Sources of a tree whose roots are some of the first, with the distances along it."""
+    step = LATTICES[lattice]
+    points = np.unique(rng.integers(-300, 300, (count, dim)), axis=0).astype(float)
+    points = points * step if step else points + rng.random(points.shape)
+    points = rng.permutation(points)
+    count = len(points)
+    parents = np.array([rng.integers(max(i, 1)) for i in range(count)])
+    parents[: 1 + count // 10] = np.arange(1 + count // 10)
+    return points, distances_along(points, parents, rng.integers(9, size=count) / 8), parents
+
+
+def distances_along(points, parents, of_roots):
+    distances = of_roots + np.linalg.norm(points - points[parents], axis=1)
+    for i in np.flatnonzero(parents < np.arange(len(points))):
+        distances[i] += distances[parents[i]] - of_roots[i]
+    return distances
+
+
+def bits_of(domain, cones):
+    body = BitWriter()
+    write_cones(body, domain, cones)
+    return body
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
+@given(st.integers(0, 100_000), st.integers(1, 5), st.sampled_from([1, 2, 17, 60]))
+def test_what_is_written_is_read(lattice, seed, dim, count):
+    rng = np.random.default_rng(seed)
+    points, distances, parents = random_sources(rng, dim, count, lattice)
+    domain = Box(points.min(axis=0) - rng.random(dim), points.max(axis=0) + 10 * rng.random(dim) + 0.1)
+    stored, index = store_sources(points, distances, parents, domain)
+    source = index[rng.integers(len(points), size=int(rng.integers(1, 80)))]
+    body = bits_of(domain, StoredCones(stored, source))
+    reader = BitReader(body.to_bytes())
+    found = read_cones(reader, domain, len(source))
+    assert reader.at_end()
+    np.testing.assert_array_equal(found.source, source)
+    for name in ("code", "parent", "root_offset", "points", "offsets"):
+        np.testing.assert_array_equal(getattr(found.sources, name), getattr(stored, name))
+    width = domain.width.max()
+    rounding = 1e-13 * (1 + np.abs(points).max()) if LATTICES[lattice] else 2.0**-25 * width
+    assert np.abs(found.sources.points[index] - points).max() <= rounding
+    assert len(np.unique(index)) == len(points)
+    np.testing.assert_array_equal(found.sources.parent[index], index[parents])
+    far = (1 + np.arange(len(points))) * 2 * rounding * np.sqrt(dim) + 1e-12 * (1 + distances)
+    assert (np.abs(found.sources.offsets[index] - distances) <= far).all()
+
+
+@pytest.mark.parametrize(
+    ("lattice", "expected"), [("integers", 1), ("hundredths", 100), ("quarters", 4), ("thirds", 3), ("none", None)]
+)
+def test_the_lattice_of_a_map_is_found_and_points_on_none_are_kept_to_a_fine_step(lattice, expected):
+    points, distances, parents = random_sources(np.random.default_rng(1), 2, 40, lattice)
+    domain = Box((-300, -300), (700, 700))
+    stored, _ = store_sources(points, distances, parents, domain)
+    if expected is None:
+        assert stored.num_fine == 40 and stored.exponent == -16
+        assert len(bits_of(domain, StoredCones(stored, np.zeros(1, int))).to_bytes()) < 40 * 8
+    else:
+        assert stored.fraction == expected
+        np.testing.assert_allclose(stored.points, np.unique(points, axis=0), atol=1e-13)
+
+
+def test_sources_at_one_place_are_stored_once():
+    points = np.array([[0.0, 0], [1, 1], [1, 1 + 1e-15], [0, 0]])
+    distances = np.array([0, 2**0.5, 2**0.5, 0])
+    stored, index = store_sources(points, distances, np.array([0, 0, 0, 3]), Box((0, 0), (2, 2)))
+    assert index.tolist() == [0, 1, 1, 0]
+    assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
+    np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
+
+
+def test_offsets_are_the_lengths_along_long_chains():
+    """A spiral of a thousand turns, each after the one before, and the goal of 5 at its end."""
+    points = np.column_stack([np.arange(1000), np.arange(1000) % 2]).astype(float)
+    parents, distances = np.maximum(np.arange(1000) - 1, 0), 5 + np.sqrt(2) * np.arange(1000)
+    stored, index = store_sources(points, distances, parents, Box((0, 0), (1000, 1)))
+    np.testing.assert_allclose(stored.offsets[index], distances)
+
+
+def test_ranks_are_few_bits_where_leaves_take_turns():
+    """Leaves that alternate between two sources take two bits each, those that stay one."""
+    domain = Box((0, 0), (200, 200))
+    stored, _ = store_sources(np.arange(200.0).reshape(100, 2), np.zeros(100), np.arange(100), domain)
+    ranks = np.full(1000, 77), 77 + np.arange(1000) % 2
+    one, two = (bits_of(domain, StoredCones(stored, rank)).num_bits for rank in ranks)
+    assert two - one < 1100 and one < 100 * 60 + 1100
+
+
+@given(st.binary(max_size=400), st.integers(1, 5), st.integers(1, 300))
+def test_arbitrary_bits_are_read_or_refused(data, dim, num_leaves):
+    try:
+        found = read_cones(BitReader(data), Box(np.zeros(dim), np.ones(dim)), num_leaves)
+    except ValueError:
+        return
+    assert found.source.shape == (num_leaves,) and (found.source < len(found.sources.code)).all()
+    assert np.isfinite(found.sources.offsets).all() and np.isfinite(found.sources.points).all()
+
+
+DOMAIN = Box((0, 0), (8, 8))
+# Three sources, each the parent of the next, as a file keeps them.
+SOURCES = StoredSources(0, 0, 1, np.array([[0, 0], [1, 4], [2, 7]]), np.array([0, 0, 1]), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"parent": np.array([0, 2, 1])}, "circle"),
+        ({"parent": np.array([0, 3, 1])}, "names source 3 of 3"),
+        ({"num_fine": 3, "exponent": 300}, "steps of"),
+        ({"num_fine": 3, "exponent": -300}, "steps of"),
+        ({"num_fine": 3, "exponent": 150}, "too large"),
+        ({"root_offset": np.array([np.nan, 0, 0])}, "too large"),
+        ({"root_offset": np.array([np.inf, 0, 0])}, "too large"),
+        ({"code": np.array([[0, 0], [1, 4], [2, 2**45]])}, "coordinates of 46 bits"),
+    ],
+)
+def test_sources_that_make_no_sense_are_refused(changes, message):
+    body = bits_of(DOMAIN, StoredCones(replace(SOURCES, **changes), np.zeros(4, int)))
+    with pytest.raises(ValueError, match=message):
+        read_cones(BitReader(body.to_bytes()), DOMAIN, 4)
+
+
+@pytest.mark.parametrize(
+    ("counts", "fraction", "rest", "message"),
+    [
+        ((0, 0), [], bytes(99), "no sources"),
+        ((0, 1), [0], bytes(99), "steps of 1 / 0"),
+        ((0, 2**20 - 1), [1], bytes(range(1, 30)), "end too early"),  # refused before they are made
+    ],
+)
+def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, message):
+    body = BitWriter().write(np.array(counts), 20).write(np.array(fraction, int), 16)
+    with pytest.raises(ValueError, match=message):
+        read_cones(BitReader(body.to_bytes() + rest), DOMAIN, 4)
+
+
+def test_a_rank_beyond_the_sources_is_refused():
+    body = bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int)))
+    body._bits.pop()  # the ranks of one leaf
+    while body.num_bits > bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int))).num_bits - 1:
+        body._bits.pop()
+    body.write(np.array([0]), 1).write(np.array([0]), 1).write(np.array([0]), 1).write_coded(np.array([0]))
+    with pytest.raises(ValueError, match="names source 3 of 3"):
+        read_cones(BitReader(body.to_bytes()), DOMAIN, 1)
+
+
+@pytest.mark.parametrize(
+    ("x", "distance", "message"),
+    [(0.0, 1e39, "scale them down"), (1e19, 0.0, r"Cones take distances and domains within 1e\+18")],
+)
+def test_what_cannot_be_squared_in_32_bits_is_refused(x, distance, message):
+    with pytest.raises(ValueError, match=message):
+        store_sources(np.array([[x, 0.0]]), np.array([distance]), np.zeros(1, int), Box((0, 0), (8 + 2 * x, 8)))
+
+
+@pytest.mark.parametrize("width", [1e6, 2.0**26, 1e9, 1e17])
+def test_domains_of_any_width(width):
+    points, parents = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1])
+    distances, domain = distances_along(points, parents, np.zeros(3)), Box([0, 0], [width, width])
+    stored, index = store_sources(points, distances, parents, domain)
+    cones = StoredCones(stored, index[[2, 0, 1, 1]])
+    found = read_cones(BitReader(bits_of(domain, cones).to_bytes()), domain, 4)
+    np.testing.assert_array_equal(found.source, cones.source)
+    np.testing.assert_allclose(found.sources.points[index], points, atol=2.0**-25 * width)
+    np.testing.assert_allclose(found.sources.offsets[index], distances, rtol=1e-6)
+
+
+# A family's boxes: above those that all start at, below them, and the best trees, beside recursions.
+
+
+MAZE = scenes.maze().workspace
+# A wall behind which one corner serves all, and a room of its own that no goal reaches.
+CORNER = Workspace(((0, 0), (1, 1)), [[(0.5, 0.25), (0.52, 0.25), (0.52, 0.75), (0.5, 0.75)]])
+
+
+def limits_of(max_leaves=None, max_depth=None, max_axis_depth=None):
+    return check_limits(leaf_model("cone"), 2, max_depth, max_leaves, None, None, Proof.NONE, 13)
+
+
+def task_of(workspace, oracle, limits):
+    return search.family_task(oracle, workspace.bounds, limits, sample_pattern(2, 96, 0, 0))
+
+
+def levels_of_family(monkeypatch, workspace, goals, max_leaves):
+    """What the search is given: levels of boxes, the box that each starts at, and how many splits are above."""
+    first = VisibilityGraph(workspace, goals[0])
+    oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
+    given = []
+    monkeypatch.setattr(search, "best_cones", lambda *arguments: given.append(arguments) or [])
+    task = task_of(workspace, first, limits_of(max_leaves))
+    task(oracles)
+    return given[0][0], given[0][1], len(task.halves)
+
+
+@pytest.mark.parametrize(("splits", "limits"), [(0, (8,)), (3, (64,)), (5, (256,)), (4, (10**6, 4))])
+def test_all_cells_of_so_many_splits_and_their_halves(splits, limits):
+    task = task_of(MAZE, VisibilityGraph(MAZE, (0.06, 0.07)), limits_of(*limits))
+    assert len(task.halves) == splits == len(task.tops) - 1
+    for number, cells in enumerate(task.tops):
+        shapes = [(i, number - i) for i in range(number + 1) if abs(number - 2 * i) <= MAX_ASPECT_BITS]
+        assert len(np.unique(cells.hashes())) == len(cells) == len(shapes) * 2**number
+        assert (cells.depth.sum(axis=1) == number).all()
+    for (cells, below), child in zip(pairwise(task.tops), task.halves, strict=True):
+        axis, side, box = np.nonzero(child >= 0)
+        half, expected = below[child[axis, side, box]], cells[box].halves(axis, side == 1)
+        np.testing.assert_array_equal(half.depth, expected.depth)
+        np.testing.assert_array_equal(half.position, expected.position)
+
+
+@pytest.mark.parametrize("workspace", [MAZE, CORNER], ids=["maze", "corner"])
+def test_boxes_above_the_start_are_leaves_where_one_source_serves_all(workspace, monkeypatch):
+    levels, roots, splits = levels_of_family(monkeypatch, workspace, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**5)
+    assert splits == 5 and len(roots) == 2
+    found = 0
+    for level, below in pairwise(levels):
+        for number in range(len(level.key)):
+            sources = [
+                set(below.boxes.source[both][below.boxes.source[both] >= 0])
+                for both in level.child[:, :, number]
+                if both[0] >= 0 and (below.boxes.error[both] == 0).all()
+            ]
+            is_one = any(len(each) <= 1 for each in sources)
+            assert level.boxes.error[number] == (0.0 if is_one else np.inf)
+            found += is_one
+    assert found
+
+
+def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
+    levels, roots, _ = levels_of_family(monkeypatch, MAZE, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**3)
+    price_search = PriceSearch(levels, roots, limits_of(64), lambda member, tree: 0, thrift=Thrift(1.2, 4, 0.99))
+    forest = price_search.first()
+    while (larger := price_search.next(forest)) is not None:
+        forest = larger
+    for level, below in pairwise(levels[3:]):
+        assert len(np.unique(below.key)) == len(below.key) == len(below.boxes.cells)
+        axis, side, box = np.nonzero(level.child >= 0)
+        half, expected = (
+            below.boxes.cells[level.child[axis, side, box]],
+            level.boxes.cells[box].halves(axis, side == 1),
+        )
+        np.testing.assert_array_equal(half.position, expected.position)
+    for member, tree in enumerate(forest.trees):
+        assert 32 < len(tree) <= 64
+        share, costs = 0.01 / 64, [level.costs(0.01 / 64) for level in levels]
+        found = price_search._tree_alone(member, tree.price, share)
+        memo = {}
+
+        def best(depth, box, price=tree.price, costs=costs, memo=memo):
+            if (depth, box) not in memo:
+                ways = [costs[depth][box] + price]
+                if costs[depth][box] > price:
+                    halves = [each for each in levels[depth].child[:, :, box].tolist() if each[0] >= 0]
+                    ways += [sum(best(depth + 1, half) for half in both) for both in halves]
+                memo[depth, box] = min(ways)
+            return memo[depth, box]
+
+        total = sum(float(cost[box].sum()) for cost, box in zip(costs, found.leaves, strict=False))
+        np.testing.assert_allclose(total + tree.price * len(found), best(0, int(roots[member])), rtol=1e-12)

@@ -1,0 +1,463 @@
+"""Continuous leaves: spaces, fits, files; no jumps where one may walk."""
+
+import hashlib
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plr_helpers import UNIT, cone, leaf_by_search, points, random_contents, random_partition, three_leaves, walled
+
+from plr_jax import Box, BuildOptions
+from plr_jax.plr import Continuous, construct
+from plr_jax.plr._file import Contents, decode, encode
+from plr_jax.plr.container import Container
+from plr_jax.plr.faces import face_points, shared_faces
+from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
+from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values, numbers_of_polynomials
+from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.tree import Cells, corner_bits, levels_of, tree_of
+
+# Function spaces of continuous leaves: a basis, and that functions agree wherever leaves are tied.
+
+
+SEEDS, HALVES = st.integers(0, 10_000), Cells.root(2).split(np.array([0]))
+
+
+def powers_of(order, dim):
+    return np.stack(np.meshgrid(*[np.arange((2, 4)[order])] * dim, indexing="ij"), -1).reshape(-1, dim)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@given(seed=SEEDS, dim=st.integers(1, 3))
+def test_functions_are_their_powers(order, seed, dim):
+    t = np.random.default_rng(seed).random((20, dim))
+    by_power = np.prod(t[:, None] ** powers_of(order, dim), axis=2) @ monomials(order, dim).T
+    np.testing.assert_allclose(design(order, t), by_power, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_numbers_are_the_values_at_the_corners_and_the_cubics_derivatives(order):
+    corners, step = corner_bits(2).astype(float), 1e-6 * np.array([0.0, 1.0])
+    np.testing.assert_allclose(design(order, corners).reshape(4, 4, -1)[:, :, 0], np.eye(4), atol=1e-12)
+    if order == 1:
+        slope = (design(1, corners + step) - design(1, corners - step)).reshape(4, 4, 4) / 2e-6
+        np.testing.assert_allclose(slope[:, :, 1], np.eye(4), atol=1e-5)  # the second number is the slope along y
+        np.testing.assert_allclose(slope[:, :, 0], 0, atol=1e-5)
+
+
+def space_of(cells, tied=lambda faces: np.ones(len(faces), bool), periodic=()):
+    tree = tree_of(cells)
+    faces = shared_faces(tree, periodic)
+    faces = faces[tied(faces)]
+    return nodal_space(tree, faces, np.zeros(len(cells), bool)), faces
+
+
+def evaluate(order, cells, numbers, leaf, x, derivative=None):
+    """A leaf's function, or its derivative by fractions of the domain along an axis, power by power."""
+    t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]
+    powers = powers_of(order, cells.dim)
+    factor = np.ones((len(t), len(powers)))
+    for axis in range(cells.dim):
+        power, along = powers[:, axis], t[:, axis, None]
+        if axis == derivative:
+            factor *= power * along ** np.maximum(power - 1, 0) * np.ldexp(1.0, cells.depth[leaf, axis])[:, None]
+        else:
+            factor *= along**power
+    return np.sum(factor * (numbers.reshape(len(cells), -1)[leaf] @ monomials(order, cells.dim)), axis=1)
+
+
+def corners_of(cells):
+    return ((cells.position[:, None] + corner_bits(cells.dim)) * 0.5 ** cells.depth[:, None]).reshape(-1, cells.dim)
+
+
+def test_a_hanging_node_is_the_middle_of_the_edge_it_hangs_on():
+    space, _ = space_of(three_leaves())
+    assert len(space.masters) == 7  # nine points of three leaves, but (1/2, 1/2) hangs and (1, 1/2) is a point of two
+    value = (space.values @ np.arange(7.0)).reshape(3, 4)
+    np.testing.assert_array_equal(value[1, 1], (value[0, 2] + value[0, 3]) / 2)
+
+
+def test_what_is_not_tied_has_nodes_of_its_own_and_what_is_unreachable_has_none():
+    assert len(space_of(HALVES)[0].masters) == 6
+    assert len(space_of(HALVES, lambda faces: np.zeros(len(faces), bool))[0].masters) == 8
+    tree = tree_of(HALVES)
+    space = nodal_space(tree, shared_faces(tree)[:0], np.array([True, False]))
+    assert len(space.masters) == 4 and (space.values @ np.ones(4)).tolist() == [0] * 4 + [1] * 4
+
+
+def test_both_ends_of_a_periodic_axis_are_one():
+    root, around = Cells.root(2), ((), (True, False), (True, True))
+    assert [len(space_of(root, periodic=periodic)[0].masters) for periodic in around] == [4, 2, 1]
+    space, _ = space_of(root, periodic=(True, False))
+    np.testing.assert_array_equal(space.values @ [3.0, 5.0], [3, 5, 3, 5])
+    # Of the three leaves of a torus: (0, 0), (1/2, 0) and (0, 1/2), which hangs on the left half, as (1/2, 1/2) does.
+    space, _ = space_of(three_leaves(), periodic=(True, True))
+    value = (space.values @ np.array([3.0, 5.0])).reshape(3, 4)
+    np.testing.assert_array_equal(value, [[3, 3, 5, 5], [5, 5, 3, 3], [5, 5, 3, 3]])
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@given(seed=SEEDS, data=st.data())
+def test_functions_agree_across_every_tied_face(order, seed, data):
+    """Seams of a torus among them: there the upper leaf is asked a period below; of order 1 for derivatives too."""
+    rng, dim = np.random.default_rng(seed), data.draw(st.integers(1, 2 if order else 4))
+    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
+    share = data.draw(st.sampled_from([0.5, 0.9, 1.0]))
+    cells = tree_of(random_partition(seed, dim, 25)).leaves
+    space, faces = space_of(cells, lambda faces: rng.random(len(faces)) < share, periodic)
+    numbers = numbers_of_leaves(order, space) @ rng.normal(size=len(space.masters))
+    x = face_points(cells, faces, rng.random((1, dim)))[:, 0]
+    beyond = x - (x == 1) * np.eye(dim)[faces.axis]
+    for derivative in (None, *range(dim if order else 0)):
+        below = evaluate(order, cells, numbers, faces.lower, x, derivative)
+        above = evaluate(order, cells, numbers, faces.upper, beyond, derivative)
+        np.testing.assert_allclose(below, above, atol=1e-7 * max(1, np.abs(below).max(initial=0)))
+
+
+def of_masters(space, values):
+    """Of values at the corners of all leaves those of the masters."""
+    of_group = np.empty(space.group.max() + 1)
+    of_group[space.group] = values
+    return of_group[space.masters]
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@given(seed=SEEDS)
+def test_linear_functions_are_among_them(order, seed):
+    rng, cells = np.random.default_rng(seed), tree_of(random_partition(seed, 2, 25)).leaves
+    space, _ = space_of(cells, lambda faces: rng.random(len(faces)) < 0.7)
+    numbers = numbers_of_leaves(order, space) @ of_masters(space, 3 + corners_of(cells) @ [2.0, -5.0])
+    x = rng.random((200, 2))
+    leaf = np.argmax(np.all(np.floor(np.ldexp(x[:, None], cells.depth)) == cells.position, axis=2), axis=1)
+    np.testing.assert_allclose(evaluate(order, cells, numbers, leaf, x), 3 + x @ [2.0, -5.0], atol=1e-9)
+
+
+@given(seed=SEEDS, dim=st.integers(1, 3), periodic=st.booleans())
+def test_predictions_need_coarser_values_alone_and_are_right_for_linear_functions(seed, dim, periodic):
+    rng, cells = np.random.default_rng(seed), tree_of(random_partition(seed, dim, 25)).leaves
+    space, _ = space_of(cells, lambda faces: (rng.random(len(faces)) < 0.7) | periodic, (periodic,) * dim)
+    row, column = space.prediction.nonzero()
+    assert np.all(space.level[column] < space.level[row])
+    np.testing.assert_allclose(space.values @ np.ones(len(space.masters)), 1)
+    if periodic:  # all corners of a torus are one point
+        assert len(np.unique(space.group[np.isin(corners_of(cells), [0, 1]).all(axis=1)])) == 1
+    else:
+        values, is_finer = of_masters(space, 3 + corners_of(cells).sum(axis=1)), space.level > 0
+        np.testing.assert_allclose((space.prediction @ values)[is_finer], values[is_finer], atol=1e-9)
+
+
+# Continuous leaves: no jumps where one may walk, exact for what they can hold, within limits, fitted densely.
+
+
+STEP = 2.0**-22  # moves a 32-bit point of the unit square off a face
+
+
+@pytest.fixture(scope="module", params=["continuous", "smooth"])
+def leaf(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def plr(leaf):
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100, options=BuildOptions(num_samples=48))
+
+
+def both_sides_of_faces(plr, distance_fn):
+    """Random points on faces, moved a step to either side, where both sides can be reached."""
+    faces, w = shared_faces(tree_of(plr.cells)), np.random.default_rng(0).random((20, plr.dim))
+    on_face = plr.domain.lo + plr.domain.width * face_points(plr.cells, faces, w)
+    across = STEP * plr.domain.width * np.eye(plr.dim)[faces.axis][:, None]
+    below, above = ((on_face + sign * across).reshape(-1, plr.dim) for sign in (-1, 1))
+    free = np.isfinite(distance_fn(below)) & np.isfinite(distance_fn(above))
+    assert free.sum() > 500
+    return below[free].astype(np.float32), above[free].astype(np.float32)
+
+
+def jump(plr, distance_fn):
+    below, above = both_sides_of_faces(plr, distance_fn)
+    return np.abs(np.asarray(plr(below)) - np.asarray(plr(above))).max()
+
+
+def test_no_jump_across_free_faces_nor_of_gradients_of_order_one(plr, leaf):
+    assert jump(plr, walled) <= 1.4e-5
+    assert jump(construct(walled, UNIT, max_leaves=150), walled) > 1e-4  # points do tell leaves apart: planes jump
+    gradient = jax.vmap(jax.grad(plr))
+    below, above = (np.asarray(gradient(jnp.asarray(x))) for x in both_sides_of_faces(plr, walled))
+    largest = np.abs(below - above).max()
+    assert largest < 1e-3 if leaf == "smooth" else largest > 0.1
+
+
+@pytest.mark.parametrize("dim", [1, 3])
+def test_no_jump_in_other_dimensions(dim):
+    def walled_anywhere(x):
+        blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
+        return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
+
+    plr = construct(
+        walled_anywhere,
+        (np.zeros(dim), np.ones(dim)),
+        leaf="continuous",
+        max_leaves=80,
+        options=BuildOptions(num_samples=48),
+    )
+    assert jump(plr, walled_anywhere) <= 1e-5
+
+
+def test_nothing_blends_across_a_wall(plr):
+    y = np.linspace(0.05, 0.6, 50)
+    left, right = (np.stack([np.full(50, at), y], axis=1) for at in (0.4 - 1e-4, 0.5 + 1e-4))
+    assert (walled(right) - walled(left)).min() > 0.2
+    for side in (left, right):
+        np.testing.assert_allclose(plr(side), walled(side), atol=0.03)
+
+
+def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
+    """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
+    # Widths that are no powers of two, for which not even the lookup rounds the same way in all compiled code.
+    domain = Box([0.0, -1.0], [24.0, 14.0])
+    plr = construct(
+        lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7),
+        domain,
+        leaf=leaf,
+        max_leaves=80,
+        options=BuildOptions(num_samples=32),
+    )
+    x = (domain.lo + domain.width * points(4000, 0)).astype(np.float32)
+    for axis, corners in enumerate(plr.leaf_boxes[0].T):
+        x[:, axis] = np.resize(np.unique(corners)[1:], 4000)
+        at_border = plr(x)
+        for _ in range(8):
+            x[:, axis] = np.nextafter(x[:, axis], np.float32(-2))
+            np.testing.assert_allclose(plr(x), at_border, atol=1e-4)
+
+
+def test_a_query_is_the_interpolation_of_nodal_values(x):
+    plr = construct(walled, UNIT, leaf="continuous", max_leaves=60)
+    stored, leaf = plr.stored, leaf_by_search(plr, x)
+    node = (numbers_of_leaves(0, stored.partition.space) @ stored.decode()).reshape(-1, 2, 2)[leaf]
+    lo, hi = (corner[leaf] for corner in plr.leaf_boxes)
+    s, t = ((x - lo) / (hi - lo)).T
+    low, high = (1 - t) * node[:, 0, 0] + t * node[:, 0, 1], (1 - t) * node[:, 1, 0] + t * node[:, 1, 1]
+    reachable = ~stored.partition.unreachable[leaf]
+    np.testing.assert_allclose(np.asarray(plr(x))[reachable], ((1 - s) * low + s * high)[reachable], atol=1e-5)
+
+
+def test_numbers_are_the_cell_and_powers_of_the_place_in_it():
+    """On the upper half along x, with 1, 2, 4, 8 at the corners (lower x first): 1 + t + 3 s + 3 s t."""
+    cells = Cells.root(2).split(np.array([0]))
+    found = numbers_of_polynomials(0, cells, np.array([[np.inf, 0, 0, 0], [1, 2, 4, 8]]))
+    np.testing.assert_array_equal(found, [[2, 1, np.inf, 0, 0, 0], [3, 1, 1, 1, 3, 3]])
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_one_leaf_holds_a_multilinear_function(dim):
+    def product(x):
+        return 1 + np.prod(1 + x * np.arange(1, dim + 1), axis=1)
+
+    plr, x = construct(product, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=1), points(100, 0, dim)
+    np.testing.assert_allclose(plr(x), product(x), rtol=3e-6)
+
+
+def test_linear_functions_are_held_across_leaves_and_walls(leaf, samples):
+    def linear(x):
+        return np.where(np.isfinite(walled(x)), 3 + x @ [2.0, -1.0], np.inf)
+
+    plr, x = construct(linear, UNIT, leaf=leaf, tolerance=0), samples[0]
+    assert plr.num_leaves < 200
+    np.testing.assert_allclose(plr(x), linear(x), rtol=1e-5)
+
+
+def test_at_equal_bytes_it_errs_less_than_planes(leaf, samples):
+    tied, planes = (construct(walled, UNIT, max_bytes=600, leaf=each) for each in (leaf, "plane"))
+    assert 570 <= tied.num_bytes <= 600
+    x, distance = samples
+    errors = [np.abs(np.asarray(plr(x)) - distance).mean() for plr in (tied, planes)]
+    assert errors[0] < 0.8 * errors[1]
+
+
+@pytest.mark.parametrize(
+    ("leaf", "dim", "message"),
+    [
+        ("smooth", 3, "'smooth' are for up to 2 dimensions, got 3. Use continuous ones or planes, which may jump"),
+        ("continuous", 7, "'continuous' are for up to 6 dimensions, got 7. Use planes, which may jump, instead"),
+    ],
+)
+def test_too_many_dimensions_are_refused(leaf, dim, message):
+    with pytest.raises(ValueError, match=message):
+        construct(cone, (np.zeros(dim), np.ones(dim)), leaf=leaf)
+
+
+def test_limits_and_weights_are_kept():
+    plr, x = construct(cone, UNIT, leaf="continuous", tolerance=0.01), points(5000, 0)
+    assert np.abs(np.asarray(plr(x)) - cone(x)).max() < 0.015 and plr.num_leaves < 60
+    weighted = construct(
+        cone,
+        UNIT,
+        leaf="continuous",
+        max_leaves=64,
+        options=BuildOptions(weight_fn=lambda x: np.where(x[:, 0] > 0.5, 1.0, 0.001)),
+    )
+    assert np.mean(weighted.leaf_boxes[0][:, 0] >= 0.5) > 0.8
+    deep = construct(
+        lambda x: 10.0 * (x[:, 0] > 1 / 3) + cone(x), UNIT, leaf="continuous", max_leaves=60, max_depth=7
+    )
+    assert deep.depth == 7 and deep.num_leaves == 60
+    for budget in (100, 300, 700):
+        assert 0.95 * budget < construct(cone, UNIT, leaf="continuous", max_bytes=budget).num_bytes <= budget
+
+
+@pytest.mark.parametrize("max_leaves", [100, 200, 400])
+def test_exhausted_leaves_take_no_part_of_what_was_asked_for(max_leaves):
+    """Leaves at a jump are halved until they may not be; once they were chosen, and 99, 193 and 380 leaves made."""
+
+    def bumps_and_a_jump(x):
+        return 2 + np.sin(40 * x[:, 0]) + 10 * (x[:, 0] > 1 / 3)
+
+    plr = construct(
+        bumps_and_a_jump,
+        ([0.0], [1.0]),
+        leaf="continuous",
+        max_leaves=max_leaves,
+        options=BuildOptions(num_samples=48),
+    )
+    assert plr.num_leaves == max_leaves
+
+
+def space_and_fit(value):
+    """A partition of 16 leaves, all tied, and samples of given values."""
+    tree = tree_of(random_partition(4, 2, 15))
+    fit = Sampler(lambda x: np.ones(len(x)), UNIT, None, *2 * [sample_pattern(2, 48, 0.0, 0)], 14)(tree.leaves)
+    return nodal_space(tree, shared_faces(tree), np.zeros(16, bool)), replace(fit, value=value)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_values_are_those_of_a_dense_least_squares_fit(order):
+    rng = np.random.default_rng(0)
+    space, fit = space_and_fit(rng.normal(size=(16, 48)))
+    weight = rng.random((16, 48))
+    values, residual = fit_values(order, space, fit, weight)
+    rows = np.kron(np.eye(16), design(order, (fit.pattern.u + 1) / 2)) @ numbers_of_leaves(order, space).toarray()
+    root = np.sqrt(weight).ravel()
+    expected, *_ = np.linalg.lstsq(rows * root[:, None], fit.value.ravel() * root, rcond=None)
+    np.testing.assert_allclose(values, expected, atol=1e-4)
+    np.testing.assert_allclose(residual.ravel(), fit.value.ravel() - rows @ values, atol=1e-9)
+    weight[2] = 0
+    _, residual = fit_values(order, space, fit, weight)
+    assert (residual[2] == 0).all() and (np.delete(residual, 2, axis=0) != 0).all()
+
+
+def test_values_that_no_sample_holds_are_harmless():
+    space, fit = space_and_fit(np.full((16, 48), 7.0))
+    values, _ = fit_values(0, space, fit, np.where(np.arange(16) == 3, 1.0, 0.0)[:, None] * np.ones(48))
+    np.testing.assert_allclose(values, 7.0, rtol=1e-6)
+
+
+# Continuous leaves in files: the format stays, what is read is what was written, values are rounded.
+
+
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 3), data=st.data())
+def test_what_is_read_is_what_was_written(seed, dim, data):
+    """Ties across the seams of a torus, too."""
+    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
+    contents = random_contents(seed, dim, "continuous", periodic=periodic)
+    again, stored = decode(encode(contents)), contents.stored
+    assert again.domain == contents.domain
+    for name in ("tree.leaves.position", "unreachable", "faces.axis", "tied"):
+        found, expected = again.stored.partition, stored.partition
+        for part in name.split("."):
+            found, expected = getattr(found, part), getattr(expected, part)
+        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(again.stored.code, stored.code)
+    np.testing.assert_array_equal(again.stored.decode(), stored.decode())
+
+
+def partition_of(tied, unreachable=(False, False, False), periodic=()):
+    """The faces between three leaves are those of leaves 0 and 1, 0 and 2, 1 and 2, unless there are seams too."""
+    tree = tree_of(three_leaves())
+    return TiedPartition(tree, np.array(unreachable), shared_faces(tree, periodic), np.array(tied))
+
+
+@pytest.mark.parametrize(
+    ("periodic", "tied", "expected"),
+    [
+        ((), (1, 0, 1), "60c20ec2ce8e3fbe2bff3084245fa7d9d42a9f87aaa60582cf58e38d384d5d6e"),
+        ((True, True), (1, 0, 1, 1, 1, 0, 1), "0ee745206b59221ce517a3d4d2c56102d9649cfabed6850a98624992fd81d21d"),
+    ],
+)
+def test_the_format_stays_as_it_is(periodic, tied, expected):
+    partition = partition_of(np.array(tied, bool), periodic=periodic)
+    stored = StoredValues(partition, 0.5, 0.25, 3 * np.arange(len(partition.space.masters)) ** 2 - 7)
+    leaves, domain = partition.tree.leaves, Box((-1, 0), (1, 3), periodic or None)
+    data = encode(Contents(domain, Continuous(), levels_of(leaves)[0], leaves, stored))
+    assert hashlib.sha256(Container.from_bytes(data).last.body).hexdigest() == expected
+
+
+def test_values_are_rounded_to_the_nearest_within_floats():
+    partition = partition_of((True, True, True))
+    values = np.random.default_rng(0).normal(size=len(partition.space.masters))
+    stored = StoredValues.rounded(partition, values, 0.1)
+    assert np.abs(stored.decode() - values).max() <= 0.05 + 1e-6
+    np.testing.assert_allclose(stored.step, 0.1, rtol=1e-6)
+    with pytest.raises(ValueError, match="scale them down"):
+        StoredValues.rounded(partition, np.full(len(values), 1e31), 1.0)
+
+
+def test_which_faces_may_be_tied():
+    partition = partition_of((False, False, False), (False, True, False))
+    assert partition.between_reachable().tolist() == [False, True, False]
+
+
+SQUARE = Box((0, 0), (1, 1))
+
+
+def grid(depth, dim=2):
+    cells = Cells.root(dim)
+    for axis in range(dim):
+        for _ in range(depth):
+            cells = cells.split(np.full(len(cells), axis))
+    tree = tree_of(cells)
+    return tree.leaves, shared_faces(tree)
+
+
+def test_faces_in_a_wall_are_not_free():
+    cells, faces = grid(4)
+    free = FaceTests(walled, SQUARE).are_free(cells, faces)
+    x = (np.maximum(cells.position[faces.lower], cells.position[faces.upper]) + 0.5) / 16  # a point beside the face
+    inside = (faces.axis == 0) & (x[:, 0] > 0.42) & (x[:, 0] < 0.5) & (x[:, 1] < 0.65)
+    assert inside.any() and not free[inside].any()
+    away = (x[:, 0] < 0.35) | (x[:, 0] > 0.6) | (x[:, 1] > 0.8)
+    assert free[away].all()
+
+
+def test_a_face_on_the_edge_of_a_wall_is_not_free():
+    cells, faces = grid(1)
+    free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
+    np.testing.assert_array_equal(free, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
+
+
+def test_a_face_is_tested_once():
+    asked = []
+
+    def counted(x):
+        asked.append(len(x))
+        return cone(x)
+
+    tests = FaceTests(counted, SQUARE)
+    for _ in range(2):
+        assert tests.are_free(*grid(2)).all()
+    assert len(asked) == 1
+
+
+def test_intervals_and_boxes():
+    for dim in (1, 3):
+        cells, faces = grid(1, dim)
+        assert FaceTests(cone, Box(np.zeros(dim), np.ones(dim))).are_free(cells, faces).all()
+
+
+def test_a_distance_function_that_fails_beside_a_face_is_named():
+    with pytest.raises(ValueError, match="distance_fn gives NaN"):
+        FaceTests(lambda x: np.full(len(x), np.nan), SQUARE).are_free(*grid(1))
