@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax.plr import construct
+from plr_jax import VisibilityGraph, construct, scenes
 
 
 @pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
@@ -17,6 +17,13 @@ def leaf(request):
 def plr(leaf):
     """A PLR of the walled square."""
     return construct(walled, UNIT, leaf=leaf, max_leaves=100)
+
+
+@pytest.fixture(scope="session")
+def maze():
+    """The oracle of a maze."""
+    problem = scenes.maze()
+    return VisibilityGraph(problem.workspace, problem.goals[0])
 
 
 @pytest.fixture(scope="session")

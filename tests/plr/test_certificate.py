@@ -63,21 +63,6 @@ def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     np.testing.assert_array_equal(CellMemory(oracle, domain).distances(cells, x), whole)
 
 
-def test_a_cell_is_found_once_whichever_half_it_is_reached_by(monkeypatch):
-    workspace = WORKSPACES[0](np.random.default_rng(1))
-    oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
-    memory = CellMemory(oracle, Box((0, 0), (10, 10)))
-    root = Cells.root(2)
-    memory.sources(root)
-    columns, rows = root.split(np.array([0])), root.split(np.array([1]))
-    memory.sources(columns), memory.sources(rows)
-    quarters = columns.split(np.array([1, 1]))
-    first = memory.sources(quarters)
-    again = memory.sources(rows.split(np.array([0, 0]))[[0, 2, 1, 3]])
-    np.testing.assert_array_equal(again.pieces, first.pieces)
-    np.testing.assert_array_equal(again.source, first.source)
-
-
 # Bounds of pieces and of leaves, against distances of many points.
 
 
@@ -274,24 +259,6 @@ def test_two_classes_are_the_best_two(seed):
         classes = np.where(upper, codes[:, upper].max(axis=1)[:, None], codes[:, ~upper].max(axis=1)[:, None])
         widths = [volume @ FACTOR[each].sum(axis=0) for each in (found, classes)]
         assert written_classes(classes).num_bits > 130 or widths[0] <= widths[1]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_bounds_of_classes_hold_and_are_far_narrower_where_few_leaves_are_bad(seed):
-    rng = np.random.default_rng(seed)
-    lower, upper = -(10.0 ** (-8 + 3 * rng.random(5000))), 10.0 ** (-8 + 3 * rng.random(5000))
-    lower[rng.integers(5000, size=20)] = -1.0
-    rounding, num_bytes = np.full(5000, 1e-9), 8000
-    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.CLASSES, rng.random(5000), num_bytes)
-    below, above = certificate.bounds()
-    assert (below <= lower - rounding).all() and (above >= upper + rounding).all()
-    assert (above - below).mean() < 0.01 * 2 * certificate.max_error
-    body = BitWriter()
-    certificate.write(body)
-    assert 32 < body.num_bits <= Proof.CLASSES.num_bits(5000, num_bytes) < 0.01 * Proof.LEAVES.num_bits(5000, 0)
-    found = read_certificate(BitReader(body.to_bytes()), Proof.CLASSES, 5000)
-    assert found is not None and found.proof is Proof.CLASSES and found.max_error == certificate.max_error
-    np.testing.assert_array_equal(found.bounds(), certificate.bounds())
 
 
 @pytest.mark.parametrize("seed", range(20))

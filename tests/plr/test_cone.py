@@ -22,23 +22,10 @@ from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.leaves.cone import search
-from plr_jax.plr.leaves.cone.codec import (
-    StoredCones,
-    StoredSources,
-    read_cones,
-    store_sources,
-    write_cones,
-)
+from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, read_cones, store_sources, write_cones
 from plr_jax.plr.sampling import sample_pattern
 
 # Cones of an oracle: small, exact, evaluated as cones, above other leaves within bounds, of sources in sight.
-
-
-@pytest.fixture(scope="module")
-def maze():
-    """The oracle of a maze."""
-    problem = scenes.maze()
-    return VisibilityGraph(problem.workspace, problem.goals[0])
 
 
 @pytest.fixture(scope="module")
@@ -271,14 +258,6 @@ def test_sources_at_one_place_are_stored_once():
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
 
 
-def test_offsets_are_the_lengths_along_long_chains():
-    """A spiral of a thousand turns, each after the one before, and the goal of 5 at its end."""
-    points = np.column_stack([np.arange(1000), np.arange(1000) % 2]).astype(float)
-    parents, distances = np.maximum(np.arange(1000) - 1, 0), 5 + np.sqrt(2) * np.arange(1000)
-    stored, index = store_sources(points, distances, parents, Box((0, 0), (1000, 1)))
-    np.testing.assert_allclose(stored.offsets[index], distances)
-
-
 def test_ranks_are_few_bits_where_leaves_take_turns():
     """Leaves that alternate between two sources take two bits each, those that stay one."""
     domain = Box((0, 0), (200, 200))
@@ -355,7 +334,7 @@ def test_what_cannot_be_squared_in_32_bits_is_refused(x, distance, message):
         store_sources(np.array([[x, 0.0]]), np.array([distance]), np.zeros(1, int), Box((0, 0), (8 + 2 * x, 8)))
 
 
-@pytest.mark.parametrize("width", [1e6, 2.0**26, 1e9, 1e17])
+@pytest.mark.parametrize("width", [2.0**26, 1e17])
 def test_domains_of_any_width(width):
     points, parents = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1])
     distances, domain = distances_along(points, parents, np.zeros(3)), Box([0, 0], [width, width])

@@ -8,7 +8,7 @@ import shape_checks
 from plr_helpers import UNIT, cone, walled
 
 from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, construct, scenes
-from plr_jax.plr import Plane, center_error, cyclic_axis, maximum_depth
+from plr_jax.plr import center_error, cyclic_axis, maximum_depth
 from plr_jax.plr.growth import ConstructionInterrupted, grow
 
 
@@ -98,11 +98,6 @@ def test_many_axes_can_still_be_split():
     assert (
         construct(cone, ([-1] * 30, [1] * 30), max_leaves=20, options=BuildOptions(num_samples=64)).num_leaves == 20
     )
-
-
-def test_a_model_with_options_is_the_model_of_its_name():
-    plr = construct(walled, UNIT, max_leaves=20, leaf=Plane(coefficient_bits=10))
-    assert plr.leaf == Plane() and plr.stored.bits == 10
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Continuous leaves: spaces, fits, files; no jumps where one may walk."""
 
-import hashlib
 from dataclasses import replace
 
 import jax
@@ -9,17 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plr_helpers import UNIT, cone, leaf_by_search, points, random_contents, random_partition, three_leaves, walled
+from plr_helpers import UNIT, cone, points, random_partition, three_leaves, walled
 
 from plr_jax import Box, BuildOptions
-from plr_jax.plr import Continuous, construct
-from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr.container import Container
+from plr_jax.plr import construct
 from plr_jax.plr.faces import face_points, shared_faces
 from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
-from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values, numbers_of_polynomials
+from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
 from plr_jax.plr.sampling import Sampler, sample_pattern
-from plr_jax.plr.tree import Cells, corner_bits, levels_of, tree_of
+from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 # Function spaces of continuous leaves: a basis, and that functions agree wherever leaves are tied.
 
@@ -29,24 +26,6 @@ SEEDS, HALVES = st.integers(0, 10_000), Cells.root(2).split(np.array([0]))
 
 def powers_of(order, dim):
     return np.stack(np.meshgrid(*[np.arange((2, 4)[order])] * dim, indexing="ij"), -1).reshape(-1, dim)
-
-
-@pytest.mark.parametrize("order", [0, 1])
-@given(seed=SEEDS, dim=st.integers(1, 3))
-def test_functions_are_their_powers(order, seed, dim):
-    t = np.random.default_rng(seed).random((20, dim))
-    by_power = np.prod(t[:, None] ** powers_of(order, dim), axis=2) @ monomials(order, dim).T
-    np.testing.assert_allclose(design(order, t), by_power, atol=1e-12)
-
-
-@pytest.mark.parametrize("order", [0, 1])
-def test_numbers_are_the_values_at_the_corners_and_the_cubics_derivatives(order):
-    corners, step = corner_bits(2).astype(float), 1e-6 * np.array([0.0, 1.0])
-    np.testing.assert_allclose(design(order, corners).reshape(4, 4, -1)[:, :, 0], np.eye(4), atol=1e-12)
-    if order == 1:
-        slope = (design(1, corners + step) - design(1, corners - step)).reshape(4, 4, 4) / 2e-6
-        np.testing.assert_allclose(slope[:, :, 1], np.eye(4), atol=1e-5)  # the second number is the slope along y
-        np.testing.assert_allclose(slope[:, :, 0], 0, atol=1e-5)
 
 
 def space_of(cells, tied=lambda faces: np.ones(len(faces), bool), periodic=()):
@@ -74,32 +53,6 @@ def corners_of(cells):
     return ((cells.position[:, None] + corner_bits(cells.dim)) * 0.5 ** cells.depth[:, None]).reshape(-1, cells.dim)
 
 
-def test_a_hanging_node_is_the_middle_of_the_edge_it_hangs_on():
-    space, _ = space_of(three_leaves())
-    assert len(space.masters) == 7  # nine points of three leaves, but (1/2, 1/2) hangs and (1, 1/2) is a point of two
-    value = (space.values @ np.arange(7.0)).reshape(3, 4)
-    np.testing.assert_array_equal(value[1, 1], (value[0, 2] + value[0, 3]) / 2)
-
-
-def test_what_is_not_tied_has_nodes_of_its_own_and_what_is_unreachable_has_none():
-    assert len(space_of(HALVES)[0].masters) == 6
-    assert len(space_of(HALVES, lambda faces: np.zeros(len(faces), bool))[0].masters) == 8
-    tree = tree_of(HALVES)
-    space = nodal_space(tree, shared_faces(tree)[:0], np.array([True, False]))
-    assert len(space.masters) == 4 and (space.values @ np.ones(4)).tolist() == [0] * 4 + [1] * 4
-
-
-def test_both_ends_of_a_periodic_axis_are_one():
-    root, around = Cells.root(2), ((), (True, False), (True, True))
-    assert [len(space_of(root, periodic=periodic)[0].masters) for periodic in around] == [4, 2, 1]
-    space, _ = space_of(root, periodic=(True, False))
-    np.testing.assert_array_equal(space.values @ [3.0, 5.0], [3, 5, 3, 5])
-    # Of the three leaves of a torus: (0, 0), (1/2, 0) and (0, 1/2), which hangs on the left half, as (1/2, 1/2) does.
-    space, _ = space_of(three_leaves(), periodic=(True, True))
-    value = (space.values @ np.array([3.0, 5.0])).reshape(3, 4)
-    np.testing.assert_array_equal(value, [[3, 3, 5, 5], [5, 5, 3, 3], [5, 5, 3, 3]])
-
-
 @pytest.mark.parametrize("order", [0, 1])
 @given(seed=SEEDS, data=st.data())
 def test_functions_agree_across_every_tied_face(order, seed, data):
@@ -123,17 +76,6 @@ def of_masters(space, values):
     of_group = np.empty(space.group.max() + 1)
     of_group[space.group] = values
     return of_group[space.masters]
-
-
-@pytest.mark.parametrize("order", [0, 1])
-@given(seed=SEEDS)
-def test_linear_functions_are_among_them(order, seed):
-    rng, cells = np.random.default_rng(seed), tree_of(random_partition(seed, 2, 25)).leaves
-    space, _ = space_of(cells, lambda faces: rng.random(len(faces)) < 0.7)
-    numbers = numbers_of_leaves(order, space) @ of_masters(space, 3 + corners_of(cells) @ [2.0, -5.0])
-    x = rng.random((200, 2))
-    leaf = np.argmax(np.all(np.floor(np.ldexp(x[:, None], cells.depth)) == cells.position, axis=2), axis=1)
-    np.testing.assert_allclose(evaluate(order, cells, numbers, leaf, x), 3 + x @ [2.0, -5.0], atol=1e-9)
 
 
 @given(seed=SEEDS, dim=st.integers(1, 3), periodic=st.booleans())
@@ -233,24 +175,6 @@ def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
         for _ in range(8):
             x[:, axis] = np.nextafter(x[:, axis], np.float32(-2))
             np.testing.assert_allclose(plr(x), at_border, atol=1e-4)
-
-
-def test_a_query_is_the_interpolation_of_nodal_values(x):
-    plr = construct(walled, UNIT, leaf="continuous", max_leaves=60)
-    stored, leaf = plr.stored, leaf_by_search(plr, x)
-    node = (numbers_of_leaves(0, stored.partition.space) @ stored.decode()).reshape(-1, 2, 2)[leaf]
-    lo, hi = (corner[leaf] for corner in plr.leaf_boxes)
-    s, t = ((x - lo) / (hi - lo)).T
-    low, high = (1 - t) * node[:, 0, 0] + t * node[:, 0, 1], (1 - t) * node[:, 1, 0] + t * node[:, 1, 1]
-    reachable = ~stored.partition.unreachable[leaf]
-    np.testing.assert_allclose(np.asarray(plr(x))[reachable], ((1 - s) * low + s * high)[reachable], atol=1e-5)
-
-
-def test_numbers_are_the_cell_and_powers_of_the_place_in_it():
-    """On the upper half along x, with 1, 2, 4, 8 at the corners (lower x first): 1 + t + 3 s + 3 s t."""
-    cells = Cells.root(2).split(np.array([0]))
-    found = numbers_of_polynomials(0, cells, np.array([[np.inf, 0, 0, 0], [1, 2, 4, 8]]))
-    np.testing.assert_array_equal(found, [[2, 1, np.inf, 0, 0, 0], [3, 1, 1, 1, 3, 3]])
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -359,41 +283,10 @@ def test_values_that_no_sample_holds_are_harmless():
 # Continuous leaves in files: the format stays, what is read is what was written, values are rounded.
 
 
-@given(seed=st.integers(0, 1000), dim=st.integers(1, 3), data=st.data())
-def test_what_is_read_is_what_was_written(seed, dim, data):
-    """Ties across the seams of a torus, too."""
-    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
-    contents = random_contents(seed, dim, "continuous", periodic=periodic)
-    again, stored = decode(encode(contents)), contents.stored
-    assert again.domain == contents.domain
-    for name in ("tree.leaves.position", "unreachable", "faces.axis", "tied"):
-        found, expected = again.stored.partition, stored.partition
-        for part in name.split("."):
-            found, expected = getattr(found, part), getattr(expected, part)
-        np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(again.stored.code, stored.code)
-    np.testing.assert_array_equal(again.stored.decode(), stored.decode())
-
-
 def partition_of(tied, unreachable=(False, False, False), periodic=()):
     """The faces between three leaves are those of leaves 0 and 1, 0 and 2, 1 and 2, unless there are seams too."""
     tree = tree_of(three_leaves())
     return TiedPartition(tree, np.array(unreachable), shared_faces(tree, periodic), np.array(tied))
-
-
-@pytest.mark.parametrize(
-    ("periodic", "tied", "expected"),
-    [
-        ((), (1, 0, 1), "60c20ec2ce8e3fbe2bff3084245fa7d9d42a9f87aaa60582cf58e38d384d5d6e"),
-        ((True, True), (1, 0, 1, 1, 1, 0, 1), "0ee745206b59221ce517a3d4d2c56102d9649cfabed6850a98624992fd81d21d"),
-    ],
-)
-def test_the_format_stays_as_it_is(periodic, tied, expected):
-    partition = partition_of(np.array(tied, bool), periodic=periodic)
-    stored = StoredValues(partition, 0.5, 0.25, 3 * np.arange(len(partition.space.masters)) ** 2 - 7)
-    leaves, domain = partition.tree.leaves, Box((-1, 0), (1, 3), periodic or None)
-    data = encode(Contents(domain, Continuous(), levels_of(leaves)[0], leaves, stored))
-    assert hashlib.sha256(Container.from_bytes(data).last.body).hexdigest() == expected
 
 
 def test_values_are_rounded_to_the_nearest_within_floats():
@@ -404,11 +297,6 @@ def test_values_are_rounded_to_the_nearest_within_floats():
     np.testing.assert_allclose(stored.step, 0.1, rtol=1e-6)
     with pytest.raises(ValueError, match="scale them down"):
         StoredValues.rounded(partition, np.full(len(values), 1e31), 1.0)
-
-
-def test_which_faces_may_be_tied():
-    partition = partition_of((False, False, False), (False, True, False))
-    assert partition.between_reachable().tolist() == [False, True, False]
 
 
 SQUARE = Box((0, 0), (1, 1))
@@ -450,14 +338,3 @@ def test_a_face_is_tested_once():
     for _ in range(2):
         assert tests.are_free(*grid(2)).all()
     assert len(asked) == 1
-
-
-def test_intervals_and_boxes():
-    for dim in (1, 3):
-        cells, faces = grid(1, dim)
-        assert FaceTests(cone, Box(np.zeros(dim), np.ones(dim))).are_free(cells, faces).all()
-
-
-def test_a_distance_function_that_fails_beside_a_face_is_named():
-    with pytest.raises(ValueError, match="distance_fn gives NaN"):
-        FaceTests(lambda x: np.full(len(x), np.nan), SQUARE).are_free(*grid(1))

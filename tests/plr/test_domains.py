@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plr_helpers import UNIT, random_contents, walled
+from plr_helpers import UNIT, walled
 
 from plr_jax import (
     Box,
@@ -24,8 +24,7 @@ from plr_jax import (
     stack,
 )
 from plr_jax.plr._file import encode
-from plr_jax.plr._plr import leaf_of, plr_of_leaves
-from plr_jax.plr.certificate import Certificate, Proof
+from plr_jax.plr._plr import leaf_of
 
 # PLRs of domains with periodic axes, such as angles: no seam anywhere.
 
@@ -139,22 +138,6 @@ def test_nothing_blends_across_a_wall_at_the_seam():
     for angle in (-PI + 0.11, PI - 0.11):
         x = np.stack([np.full(50, angle), np.linspace(0, 2, 50)], axis=1)
         np.testing.assert_allclose(plr(x), distance(x), atol=0.05)
-
-
-@pytest.mark.parametrize("leaf", ["plane", "continuous", "smooth"])
-@pytest.mark.parametrize("seed", range(2))
-def test_files_of_any_partition_of_a_torus(leaf, seed):
-    contents = random_contents(seed, 2, leaf, periodic=(bool(seed % 2), True))
-    plr = from_bytes(encode(contents))
-    assert plr.to_bytes() == encode(contents) and plr.domain == contents.domain
-    x = inside(plr.domain, 200, seed)
-    away = x + 2 * plr.domain.width * plr.domain.periodic
-    np.testing.assert_array_equal(leaf_of(plr, away), leaf_of(plr, x))
-    np.testing.assert_allclose(plr(away), plr(x), atol=1e-3)
-    codes = np.random.default_rng(0).integers(0, 256, (2, len(contents.cells))).astype(np.uint8)
-    proven = plr_of_leaves(replace(contents, certificate=Certificate(0.5, codes, Proof.OPEN_LEAVES)))
-    np.testing.assert_allclose(proven.bounds(away), proven.bounds(x), atol=1e-3)
-    np.testing.assert_allclose(proven.lower(away), proven.lower(x), atol=1e-3)
 
 
 def test_values_in_leaves_are_asked_for_the_nearest_image(plr):

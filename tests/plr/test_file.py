@@ -61,9 +61,11 @@ def test_what_is_built_is_what_its_file_holds_and_what_is_pickled(model, tmp_pat
     np.testing.assert_array_equal(np.asarray(again(x)).view(np.int32), np.asarray(plr(x)).view(np.int32))
 
 
-@given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 3, 18]), leaf=st.sampled_from(MODELS))
-def test_what_is_read_is_what_was_written(seed, dim, leaf):
-    contents = random_contents(seed, min(dim, {"plane": 18, "continuous": 3, "smooth": 2}[leaf]), leaf)
+@given(st.integers(0, 1000), st.sampled_from([1, 2, 3, 18]), st.sampled_from(MODELS), st.integers(0, 7))
+def test_what_is_read_is_what_was_written(seed, dim, leaf, wraps):
+    """Ties across the seams of a torus, too."""
+    dim = min(dim, {"plane": 18, "continuous": 3, "smooth": 2}[leaf])
+    contents = random_contents(seed, dim, leaf, periodic=tuple(bool(wraps >> axis & 1) for axis in range(dim)))
     data = encode(contents)
     again = decode(data)
     assert again.domain == contents.domain and again.leaf.name == leaf
@@ -72,6 +74,10 @@ def test_what_is_read_is_what_was_written(seed, dim, leaf):
     np.testing.assert_array_equal(again.leaf.unreachable(again.stored), contents.leaf.unreachable(contents.stored))
     expected = contents.leaf.coefficients(contents.cells, contents.stored)
     np.testing.assert_array_equal(again.leaf.coefficients(again.cells, again.stored), expected)
+    if leaf != "plane":
+        for name in ("tied", "unreachable"):
+            found, written = (getattr(each.stored.partition, name) for each in (again, contents))
+            np.testing.assert_array_equal(found, written)
     assert encode(again) == data
     np.testing.assert_array_equal(decode_cells(data).position, contents.cells.position)
 

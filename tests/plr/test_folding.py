@@ -14,8 +14,7 @@ from plr_helpers import sealed
 from plr_jax import Box, BuildOptions, Dubins, Euclidean, ReedsShepp, construct, from_bytes
 from plr_jax._types import Symmetry
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.coding import ByteReader
-from plr_jax.plr.container import Container, folding_to_bytes, read_folding
+from plr_jax.plr.container import Container
 from plr_jax.plr.folding import folding_of
 
 # Foldings: which there are of a distance function in a window, how they fold, and how files keep them.
@@ -50,6 +49,7 @@ POINT, PLANE = np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])
         (Euclidean((1, 5)), FOUR, Box((0, -5), (3, -1))),
         (Euclidean((4, 2)), FOUR, Box((-4, 0), (0, 2))),
         (Euclidean((9, 9)), FOUR, None),
+        (Dubins((0, 0, np.pi / 4), 1), WINDOW, None),  # turned, the box is not smaller
         (Euclidean((0, 0)), FOUR, None),
         # What is no reflection, or reverses angles alone, is left out.
         (Stated([[0.0, -1.0], [1.0, 0.0]]), SQUARE, None),
@@ -66,22 +66,6 @@ def test_the_box_that_a_window_is_folded_onto(oracle, domain, box):
         assert folding is None
     else:
         assert folding.box == box and len(folding.mirrors) == round(np.log2(np.prod(domain.width / box.width)) + 0.3)
-
-
-def test_poses_are_folded_and_a_goal_s_heading_turns_the_box():
-    x = np.array([[-1, 1, 0.5], [1, -1, 0.5], [-1, -1, 0.5]])
-    folding = folding_of(ReedsShepp((0, 0, 0), 1), WINDOW)
-    np.testing.assert_array_equal(folding(x), [[1, 1, -0.5], [1, 1, -0.5], [1, 1, 0.5]])
-    forward = folding_of(Dubins((0, 0, 0), 1), WINDOW)
-    np.testing.assert_array_equal(forward(x), [[-1, 1, 0.5], [1, 1, -0.5], [-1, 1, -0.5]])
-    turned = folding_of(ReedsShepp((0, 0, np.pi / 4), 1), WINDOW)
-    assert turned.is_turned
-    np.testing.assert_allclose(turned.box.hi[:2], np.sqrt(8))
-    z = turned(np.array([[1, 1, 1.0], [-1, -1, 1.0], [-1, 1, 1.0]]))
-    np.testing.assert_allclose(np.sort(z[:, :2]), [(0, np.sqrt(2))] * 3, atol=1e-15)
-    np.testing.assert_allclose(z[1, :2], z[0, :2], atol=1e-15)
-    np.testing.assert_allclose(np.abs(z[:, 2]), 1 - np.pi / 4)
-    assert folding_of(Dubins((0, 0, np.pi / 4), 1), WINDOW) is None, "turned, the box is not smaller"
 
 
 @pytest.mark.parametrize(
@@ -114,15 +98,6 @@ def test_pieces_of_the_domain_fill_it():
     assert boxes == [([0, 0], [1, 2]), ([0, 2], [1, 4]), ([1, 0], [4, 2]), ([1, 2], [4, 4])]
     with pytest.raises(ValueError, match="along other axes"):
         folding_of(ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE).boxes(np.zeros((1, 3)), np.ones((1, 3)))
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.4])
-def test_a_folding_is_read_as_it_was_written(heading):
-    folding = folding_of(ReedsShepp((0.1, 0.2, heading), 1), WINDOW)
-    reader = ByteReader(folding_to_bytes(folding) + b"rest")
-    again = read_folding(reader, WINDOW)
-    assert reader.take(4) == b"rest" and folding_to_bytes(again) == folding_to_bytes(folding)
-    assert (again.mirrors, again.box) == (folding.mirrors, folding.box)
 
 
 @pytest.mark.parametrize(

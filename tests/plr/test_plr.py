@@ -73,20 +73,6 @@ def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
     assert (gradient[0] == 0).all() and (gradient[1] != 0).any() and np.isfinite(gradient).all()
 
 
-@pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
-def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
-    plr = construct(
-        cone,
-        Box((-corner, -corner), (corner, corner)),
-        leaf=leaf,
-        max_leaves=20,
-        options=BuildOptions(num_samples=32),
-    )
-    for dtype in (np.float32, np.float64):
-        corners = np.array([[1, 1], [-1, -1], [1, -1]], dtype) * dtype(corner)
-        np.testing.assert_allclose(plr(corners), corner * np.sqrt(2), rtol=0.05)
-
-
 @given(lo=st.floats(-1e8, 1e8), width=st.floats(1e-3, 1e3))
 def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     lo, hi = np.full(2, lo), np.full(2, lo + width)

@@ -12,7 +12,6 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
 from plr_jax.plr import _stack as _stack
-from plr_jax.plr import points as points_module
 from plr_jax.plr import query as lookup
 from plr_jax.plr._stack import build_trie, can_be_in_trie, trie_levels
 from plr_jax.plr.tree import Cells
@@ -101,33 +100,6 @@ def test_what_is_wrong_is_said(call, message):
 
 
 # A point for each.
-
-
-@pytest.fixture(scope="module")
-def team():
-    """PLRs of all leaf models, of other sizes and dimensions, one far from the origin, one around."""
-    return [
-        construct(walled, UNIT, max_leaves=40),
-        construct(lambda x: walled(x[:, :2]) + 0.1 * x[:, 2], Box([0.0] * 3, [1.0] * 3), max_leaves=60),
-        construct(walled, UNIT, leaf="continuous", max_leaves=20),
-        construct(walled, UNIT, leaf="smooth", max_leaves=20),
-        construct(walled, Box((0, 0), (1, 1), (True, False)), max_leaves=40),
-        construct(lambda x: np.hypot(*(x - 1e6 - 0.3).T), Box((1e6, 1e6), (1e6 + 2, 1e6 + 2)), max_leaves=40),
-    ]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("n", [0, 1, 60])
-def test_a_team_equals_the_plrs_bit_for_bit(team, n, monkeypatch):
-    q = 2 * np.random.default_rng(1).random((n, 6, 3)) - 0.5
-    q[:, -1] += 1e6
-    q[:1, :, 0] = np.nan
-    found = PLR.stack(team)(q)
-    assert found.shape == (n, 6) and found.dtype == np.float64
-    for i, plr in enumerate(team):
-        np.testing.assert_array_equal(found[:, i], np.asarray(plr(q[:, i, : plr.dim]), np.float64))
-    monkeypatch.setattr(points_module, "_CHUNK", 4)
-    np.testing.assert_array_equal(PLR.stack(team[:2])(q[:, :2]), found[:, :2])
 
 
 # One table of several partitions, against the cells' own integers.

@@ -11,13 +11,7 @@ from plr_jax.plr._file import filled_coefficients
 from plr_jax.plr.faces import face_points, overlapping_leaves, parents_of_corners, shared_faces
 from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
-from plr_jax.plr.tree import (
-    Cells,
-    corner_bits,
-    levels_of,
-    tree_of,
-    tree_of_levels,
-)
+from plr_jax.plr.tree import Cells, corner_bits, levels_of, tree_of, tree_of_levels
 
 
 def test_split_halves_one_axis_lower_child_first():
