@@ -270,6 +270,7 @@ def test_two_headers_live_side_by_side(names, tmp_path, compiler):
     subprocess.run([compiler, "-std=c99", *STRICT, "-fsyntax-only", tmp_path / "a.c"], check=True)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("name", ["", "1a", "a b", "a-b", "é", None, "_a", "a;"])
 def test_names_are_identifiers(name):
     with pytest.raises(ValueError, match="identifier of C"):
