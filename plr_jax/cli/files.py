@@ -60,8 +60,8 @@ def query(
 ) -> None:
     """Print the distance of each point, one in each line: inf outside the domain, nan for a row that is no point.
 
-    Rows that are no points are reported on standard error. A first line of names is a header. Tables of any length
-    are answered in little memory.
+    Blank lines are skipped; other rows that are no points are reported on standard error. A first line of names is a
+    header. Tables of any length are answered in little memory.
     """
     import sys
 

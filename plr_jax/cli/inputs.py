@@ -17,14 +17,12 @@ from plr_jax.cli.app import numbers_of, reason_of, warn
 
 if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
-    from plr_jax.spaces import VoxelSpace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 DEFAULT_BYTES = 4_096  # limit of a file where no limit is given
 PICTURES = (".png", ".pdf", ".svg")
 _SAME_BOX = 1e-6  # two boxes count as the same if they differ by less, as a share of their width
 _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "radius": float}  # others: str
-_VOLUME_OPTIONS = ("resolution", "box", "enclosed")
 
 MapArgument = Annotated[
     str,
@@ -32,8 +30,7 @@ MapArgument = Annotated[
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
         'costs do not count), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
-        "grid (.map), polygons with holes (.json), a scene (.json). build also takes volumes: an array (.npy), True "
-        "where it is free, voxels of Moving AI (.3dmap), a mesh (.stl, .obj, .ply).",
+        "grid (.map), polygons with holes (.json), a scene (.json).",
         show_default=False,
         autocompletion=lambda: list(SCENES),
     ),
@@ -47,7 +44,7 @@ GoalOption = Annotated[
         "--goal",
         "-g",
         metavar="X,Y",
-        help="The goal; in a volume X,Y,Z. A scene of one robot, or the file of a PLR, has a goal of its own.",
+        help="The goal. A scene of one robot, or the file of a PLR, has a goal of its own.",
         show_default=False,
     ),
 ]
@@ -64,7 +61,7 @@ def _reading_option(help: str, default: str, **others: Any) -> Any:
 
 ResolutionOption = Annotated[
     float | None,
-    _reading_option("Side of a pixel of a picture, or of a voxel, in workspace units; required for a mesh.", "1"),
+    _reading_option("Side of a pixel of a picture, in workspace units.", "1"),
 ]
 ThresholdOption = Annotated[
     float | None, _reading_option("Lightness above which a pixel is free: 0 is black, 1 white.", "0.5")
@@ -79,27 +76,13 @@ RadiusOption = Annotated[
     float | None,
     _reading_option("Radius of a round robot, in workspace units; distances are between its centers.", "0, a point"),
 ]
-BoxOption = Annotated[
-    str | None,
-    _reading_option(
-        "Two corners of the box that a volume fills.",
-        "from 0 on with voxels as --resolution says, or the mesh's own",
-        metavar="X,Y,Z,X,Y,Z",
-    ),
-]
-EnclosedOption = Annotated[
-    str | None,
-    _reading_option("What the surface of a mesh encloses is.", "blocked", **choices(("blocked", "free"))),
-]
 
 
-def parse_goal(text: str, num_axes: int = 2) -> Float[np.ndarray, "num_axes"]:
-    """Return the point that ``X,Y`` names, or a point of another number of coordinates."""
+def parse_goal(text: str) -> Float[np.ndarray, "2"]:
+    """Return the point that ``X,Y`` names."""
     goal = np.array(numbers_of(text))
-    if goal.shape != (num_axes,) or not np.isfinite(goal).all():
-        names, example = ",".join("XYZW"[:num_axes]), ",".join(("3", "28", "5", "1")[:num_axes])
-        count = ("one number", "two numbers", "three numbers", "four numbers")[num_axes - 1]
-        raise ValueError(f"--goal must be {count} {names} in one argument, such as {example}, got {text!r}.")
+    if goal.shape != (2,) or not np.isfinite(goal).all():
+        raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
     return goal
 
 
@@ -108,23 +91,16 @@ def option_of(key: str) -> str:
     return f"--{key.replace('_', '-')}"
 
 
-def is_volume(name: str) -> bool:
-    """Return whether MAP is the file of a volume, by its ending."""
-    from plr_jax.scenes._volumes import VOLUME_ENDINGS
-
-    return Path(name).suffix.lower() in VOLUME_ENDINGS
-
-
 @dataclass(frozen=True)
 class NamedMap:
-    """A map or a volume as a command names it. Its text is the label of a file, and can be parsed again.
+    """A map as a command names it. Its text is the label of a file, and can be parsed again.
 
     Attributes:
         name: The name of a scene, or a file.
-        goal: ``X,Y``, or as many coordinates as a volume has axes. None: the goal of a scene of one robot.
-        resolution: An option of the reader, as are ``threshold``, ``drop_specks``, ``polygons``, ``box`` and
-            ``enclosed``. None: the reader's default.
-        radius: The radius of a disc or a ball. None: a point.
+        goal: ``X,Y``. None: the goal of a scene of one robot.
+        resolution: An option of the reader, as are ``threshold``, ``drop_specks`` and ``polygons``. None: the
+            reader's default.
+        radius: The radius of a disc. None: a point.
     """
 
     name: str
@@ -133,8 +109,6 @@ class NamedMap:
     threshold: float | None = None
     drop_specks: int | None = None
     polygons: str | None = None
-    box: str | None = None
-    enclosed: str | None = None
     radius: float | None = None
 
     def __str__(self) -> str:
@@ -149,7 +123,7 @@ class NamedMap:
             given = {key.replace("-", "_"): value for key, value in pairs}
             named = cls(name, **{key: _OPTION_TYPES.get(key, str)(value) for key, value in given.items()})  # type: ignore[reportArgumentType]
             if named.goal is not None:
-                parse_goal(named.goal, len(numbers_of(named.goal)) or 2)
+                parse_goal(named.goal)
         except (ValueError, TypeError, IndexError):
             named = None
         if named is None or (named.name not in SCENES and not Path(named.name).suffix):
@@ -210,55 +184,6 @@ class NamedMap:
                 'a "bbox" with room for it; without one the bounds are those of its polygons.'
             )
         return workspace
-
-    def read_volume(self) -> tuple["VoxelSpace", Float[np.ndarray, "dim"]]:
-        """Return the space of a volume, and the goal.
-
-        Raises:
-            ValueError: If the file is damaged, has no such option, or no goal is given.
-        """
-        from plr_jax.geometry.box import Box
-        from plr_jax.scenes._volumes import MESH_ENDINGS, volume_of
-        from plr_jax.spaces import VoxelSpace
-
-        others = [key for key in self.given() if key not in ("goal", "radius", *_VOLUME_OPTIONS)]
-        if others:
-            options = ", ".join(map(option_of, others))
-            raise ValueError(f"{self.name} is a volume, which is read without {options}: leave that out.")
-        box = None
-        if self.box is not None:
-            corners = numbers_of(self.box)
-            if not corners or len(corners) % 2:
-                raise ValueError(
-                    f"--box must be two corners X,Y,Z,X,Y,Z in one argument, such as 0,0,0,4,3,2, got {self.box!r}."
-                )
-            box = Box.of(np.reshape(corners, (2, -1)), "--box")
-        if Path(self.name).suffix.lower() in MESH_ENDINGS:
-            if self.resolution is None:
-                raise ValueError(f"{self.name} is a mesh: give the side of a voxel with --resolution.")
-            if self.enclosed not in (None, "blocked", "free"):
-                raise ValueError(f"--enclosed must be blocked or free, got {self.enclosed!r}.")
-            try:
-                free, bounds = volume_of(self.name, self.resolution, box, self.enclosed != "free")
-            except ImportError as error:
-                raise ValueError(str(error)) from error
-            if not free.any():
-                raise ValueError(
-                    f"{self.name} leaves no voxel free: --enclosed free leaves those that its surface encloses, a "
-                    "larger --box those around it."
-                )
-        else:
-            if self.enclosed is not None:
-                raise ValueError(f"{self.name} is an array of voxels, which encloses nothing: leave out --enclosed.")
-            if self.resolution is not None and box is not None:
-                raise ValueError("--box says how large voxels are: leave out --resolution.")
-            free, bounds = volume_of(self.name, None, None, True)
-            side = 1.0 if self.resolution is None else self.resolution
-            bounds = Box(bounds.lo, side * bounds.hi) if box is None else box
-        if self.goal is None:
-            names = ",".join("XYZW"[: free.ndim])
-            raise ValueError(f"{self.name} has no goal of its own: give one with --goal {names}.")
-        return VoxelSpace(free, bounds, self.radius or 0.0), parse_goal(self.goal, free.ndim)
 
 
 def read_map_of_file(

@@ -3,9 +3,8 @@
 import io
 import re
 import sys
-import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,8 @@ _OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # NumPy takes b"\xa01" for
 class PointTable:
     """Points as lines of text: ``dim`` comma-separated numbers in each line, after an optional header.
 
-    A row of anything else, also a blank line, becomes NaN, and is reported on standard error: the first few rows,
-    and then their number. Blank lines at the end are no rows.
+    Blank lines are skipped. A row of anything else becomes NaN, and is reported on standard error: the first few
+    rows, and then their number.
 
     Attributes:
         name: The name of the table in errors.
@@ -34,50 +33,47 @@ class PointTable:
     name: str
     dim: int
     strict: bool = False
-    num_lines: int = field(default=0, init=False)
-    num_bad: int = field(default=0, init=False)
 
     def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
-        """Yield the points, some at a time.
+        """Yield the points, some at a time, as the lines come.
 
         Raises:
             ValueError: If the table is no text, has no points, or has a row that is no point and is ``strict``.
         """
-        expected, is_empty = f"{self.dim} comma-separated numbers", True
+        expected, num_lines, num_bad, is_empty = f"{self.dim} comma-separated numbers", 0, 0, True
         for block in self._blocks(file):
             lines = block.removesuffix(b"\n").split(b"\n")
-            if self.num_lines == 0 and _is_header(lines[0]):
-                self.num_lines += 1
+            if num_lines == 0 and _is_header(lines[0]):
+                num_lines = 1
                 lines, block = lines[1:], block.partition(b"\n")[2]
+            rows = [(number, line) for number, line in enumerate(lines, num_lines + 1) if line.strip()]
+            num_lines += len(lines)
             # 1. The usual block: NumPy reads all of it at once.
-            points = np.full((len(lines), self.dim), np.nan)
+            points = np.full((len(rows), self.dim), np.nan)
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # blank lines are reported below
-                    read = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+                read = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2) if rows else points
                 is_plain = read.shape == points.shape and not block.translate(None, _OF_NUMBERS)
-                points = read if is_plain else points
             except ValueError:
                 is_plain = False
             # 2. A block with a bad row: line by line.
             error = None
-            for index, line in enumerate(() if is_plain else lines):
+            points = read if is_plain else points
+            for index, (number, line) in enumerate(() if is_plain else rows):
                 text = line.rstrip(b"\r").decode(errors="replace")
                 numbers = numbers_of(text)
                 if len(numbers) == self.dim:
                     points[index] = numbers
                     continue
-                self.num_bad += 1
+                num_bad += 1
                 text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
-                message = f"{self.name}, line {self.num_lines + index + 1}: expected {expected}, got {text!r}"
+                message = f"{self.name}, line {number}: expected {expected}, got {text!r}"
                 if self.strict:
                     points, error = points[:index], message
                     break
-                if self.num_bad <= _MOST_WARNINGS:
+                if num_bad <= _MOST_WARNINGS:
                     warn(f"{message}; the answer is nan.")
-                if self.num_bad == _MOST_WARNINGS:
+                if num_bad == _MOST_WARNINGS:
                     warn("further such rows are only counted.")
-            self.num_lines += len(lines)
             if len(points):
                 is_empty = False
                 yield points
@@ -85,36 +81,26 @@ class PointTable:
                 raise ValueError(f"{error}.")
         if is_empty:
             raise ValueError(f"{self.name} has no points: expected {expected} in each line.")
-        if self.num_bad > _MOST_WARNINGS:
-            warn(f"{self.name} has {self.num_bad:,} rows that are no points.")
+        if num_bad > _MOST_WARNINGS:
+            warn(f"{self.name} has {num_bad:,} rows that are no points.")
 
     def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
-        """Yield whole lines as they come, each block with its last newline, without blank lines at the end.
-
-        Blank lines wait, as a number, for a line that is not blank.
-        """
-        rest, num_blank, is_start = b"", 0, True
+        """Yield whole lines as they come, each block with its last newline."""
+        rest, num_lines = b"", 0
         while data := file.read1(_BLOCK_BYTES):
+            if not num_lines and not rest:
+                data = data.removeprefix(b"\xef\xbb\xbf")  # the mark that spreadsheets write
+            if b"\0" in data:
+                raise ValueError(f"{self.name} is not a text file.")
             rest += data
-            if is_start:
-                if b"\0" in rest:
-                    raise ValueError(f"{self.name} is not a text file.")
-                rest, is_start = rest.removeprefix(b"\xef\xbb\xbf"), False  # the mark that spreadsheets write
-            num_filled = len(rest.rstrip())
-            end = rest.find(b"\n", num_filled) + 1 or rest.rfind(b"\n", 0, num_filled) + 1
-            if num_filled and end:
-                yield from _blank_lines(num_blank)
+            end = rest.rfind(b"\n") + 1
+            if end:
                 yield rest[:end]
-                rest, num_blank = rest[end:], 0
-            if not rest.strip():
-                num_blank += rest.count(b"\n")
-                rest = rest[rest.rfind(b"\n") + 1 :]
+                num_lines, rest = num_lines + rest.count(b"\n"), rest[end:]
             if len(rest) > _MOST_LINE_BYTES:
-                line = self.num_lines + num_blank + 1
-                raise ValueError(f"{self.name}, line {line}: longer than {_MOST_LINE_BYTES:,} bytes.")
-        if rest.strip():
-            yield from _blank_lines(num_blank)
-            yield rest.rstrip() + b"\n"
+                raise ValueError(f"{self.name}, line {num_lines + 1}: longer than {_MOST_LINE_BYTES:,} bytes.")
+        if rest:
+            yield rest
 
 
 def open_table(source: str) -> tuple[str, Any]:
@@ -132,12 +118,6 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
         line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
         sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))
         sys.stdout.flush()
-
-
-def _blank_lines(count: int) -> Iterator[bytes]:
-    """Yield so many blank lines, in blocks."""
-    for start in range(0, count, _BLOCK_BYTES):
-        yield b"\n" * min(_BLOCK_BYTES, count - start)
 
 
 def _is_header(line: bytes) -> bool:

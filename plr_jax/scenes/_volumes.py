@@ -15,8 +15,7 @@ from plr_jax._files import errors_named, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
-MESH_ENDINGS = (".stl", ".obj", ".ply")
-VOLUME_ENDINGS = (".npy", ".3dmap", *MESH_ENDINGS)
+_MESH_ENDINGS = (".stl", ".obj", ".ply")
 _MOST_VOXELS, _MOST_RANK = 2**28, 4
 _MOST_LIST_BYTES = 2**25
 _SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may promise this many voxels, or this many for each byte
@@ -75,39 +74,29 @@ def read_volume(
     References:
         D. Brewer and N. Sturtevant, "Benchmarks for pathfinding in 3D voxel space", SoCS 2018.
     """
-    free, _ = volume_of(path, pitch, bounds, fill)
-    if not free.any():
-        is_filled_mesh = fill and Path(path).suffix.lower() in MESH_ENDINGS
-        enclosed = ": fill=False leaves free what the surface encloses" if is_filled_mesh else ""
-        raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
-    return free
-
-
-def volume_of(
-    path: str | os.PathLike[str], pitch: float | int | None, bounds: Box | ArrayLike | None, fill: bool
-) -> tuple[Bool[np.ndarray, "..."], Box]:
-    """Return which voxels of a volume are free, and the box that they fill, in units of the mesh or of voxels."""
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
+    is_mesh = ending in _MESH_ENDINGS
     with errors_named(path):
-        if ending not in VOLUME_ENDINGS:
-            raise ValueError(f"expected a file that ends in one of {', '.join(VOLUME_ENDINGS)}.")
-        if ending not in MESH_ENDINGS:
+        if ending not in (".npy", ".3dmap", *_MESH_ENDINGS):
+            raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(_MESH_ENDINGS)}.")
+        if not is_mesh:
             if pitch is not None or bounds is not None or not fill:
                 raise ValueError(
-                    f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out."
+                    f"pitch, bounds and fill are for meshes ({', '.join(_MESH_ENDINGS)}): leave them out."
                 )
             free = _read_array(path) if ending == ".npy" else _read_list(path)
-            return free, Box(np.zeros(free.ndim), free.shape)
-        if pitch is None:
-            raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
-        pitch = as_finite("pitch", pitch, positive=True)
-        box = None if bounds is None else Box.of(bounds, "bounds")
-        if box is not None and box.dim != 3:
-            raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-        triangles = _read_mesh(path)
-        free, lo = free_of_mesh(triangles, pitch, box, fill), triangles.min(axis=(0, 1)) if box is None else box.lo
-        return free, Box(lo, lo + pitch * np.array(free.shape))
+        else:
+            if pitch is None:
+                raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
+            box = None if bounds is None else Box.of(bounds, "bounds")
+            if box is not None and box.dim != 3:
+                raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
+            free = free_of_mesh(_read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
+    if not free.any():
+        enclosed = ": fill=False leaves free what the surface encloses" if is_mesh and fill else ""
+        raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
+    return free
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
