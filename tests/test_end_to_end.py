@@ -100,6 +100,7 @@ def queries_of(workspace, goal):
     return oracles, compiled
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("corner", [(0.0, -0.3), (1000.1, 30.3)])
 def test_what_is_free_is_answered_finitely_by_everything(corner):
     """Also where rounding, or a tolerance, decides whether a point is on the bounds or outside."""

@@ -99,6 +99,7 @@ def show():
 
 
 @each_notebook
+@pytest.mark.full
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.filterwarnings("error", "ignore::DeprecationWarning")
 def test_runs_from_start_to_end_without_a_warning(path, tmp_path, monkeypatch, capsys):

@@ -47,7 +47,11 @@ def test_the_readme_is_short_and_has_code():
     assert demo.endswith("plr-jax demo") and tests.endswith("pytest")
 
 
-@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map", "every goal", "several robots", "gradient"])
+@pytest.mark.parametrize(
+    "code",
+    [pytest.param(code, marks=pytest.mark.full if "construct_pairs" in code else ()) for code in PYTHON],
+    ids=["first", "own map", "every goal", "several robots", "gradient"],
+)
 @pytest.mark.usefixtures("unchecked_types")
 def test_python_blocks_run(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

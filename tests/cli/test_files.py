@@ -98,6 +98,7 @@ def pairs(tmp_path_factory):
     return folder / "maze.pairs", folder / "grid.pairs"
 
 
+@pytest.mark.full
 def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     (points, grid), ends = pairs, "0.1,0.1,0.9,0.9\n0.5,0.1,0.5,0.1\n3,3,0.1,0.1\n"
     answers = table(run("query", points, "--bounds", input=ends).stdout)

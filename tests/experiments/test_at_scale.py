@@ -17,6 +17,8 @@ from distributed.cli import dask_scheduler, dask_worker
 
 import plr_jax
 
+pytestmark = pytest.mark.full
+
 README = (Path(__file__).parents[2] / "experiments" / "README.md").read_text().split("\n## At scale\n")[1]
 FLEET, LOOP = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 COMMANDS = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)[0].splitlines()

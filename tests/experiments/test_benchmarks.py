@@ -14,6 +14,8 @@ from experiments.benchmarks._rivals import (
 )
 from plr_jax import BuildOptions, VisibilityGraph, Workspace, construct, scenes
 
+pytestmark = pytest.mark.full
+
 WALL = Workspace(((0, 0), (1, 1)), [[(0.45, 0), (0.55, 0), (0.55, 0.8), (0.45, 0.8)]])
 EXACT = VisibilityGraph(WALL, (0.2, 0.3))
 

@@ -1,12 +1,15 @@
 """Rivals of a file of all pairs, each at its smallest, and what they are made of by hand."""
 
 import numpy as np
+import pytest
 
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.summaries import _given, _node_tables
 from experiments.summaries._given import Given
 from plr_jax import VisibilityGraph, Workspace, scenes
+
+pytestmark = pytest.mark.full
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 

@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 
 from experiments import _dbcbs
 from plr_jax import DiscRobot, RectangleRobot
+
+pytestmark = pytest.mark.full
 
 PROBLEM = """
 environment:

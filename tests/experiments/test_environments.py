@@ -11,6 +11,8 @@ from grid_helpers import dijkstra
 
 from plr_jax import grid_distance
 
+pytestmark = pytest.mark.full
+
 
 def bridge(name, package):
     pytest.importorskip(package, reason=f"{package} is not installed: see experiments/environments/__init__.py")

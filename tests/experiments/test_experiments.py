@@ -10,6 +10,8 @@ import pytest
 
 from experiments import readme_tables
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "experiments" / "results"
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
@@ -45,7 +47,6 @@ def run_script(monkeypatch):
     return run
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("name", FAMILIES)
 def test_an_experiment_of_each_family_runs_at_its_smallest(name, run_script, tmp_path):
     run_script(name, "--smoke", "--output", tmp_path, *FAMILIES[name])

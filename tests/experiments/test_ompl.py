@@ -19,6 +19,8 @@ from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Status
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("ompl.base", reason="OMPL baselines: pip install 'plr-jax[baselines]'")
 motions = pytest.importorskip("experiments.baselines.ompl_motions", reason="OMPL baselines need numba")
 

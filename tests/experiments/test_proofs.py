@@ -7,6 +7,8 @@ from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.proving import _astar
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
+pytestmark = pytest.mark.full
+
 
 def test_brute_force_agrees_with_the_oracle():
     problem = scenes.maze()

@@ -1,9 +1,12 @@
 """The rivals of PLRs without an oracle, by hand."""
 
 import numpy as np
+import pytest
 
 from experiments.solving import _cars, _rivals, _speed_map
 from plr_jax import Euclidean, PlaneSpace, ReedsShepp, Workspace
+
+pytestmark = pytest.mark.full
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 

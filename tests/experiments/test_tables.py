@@ -19,6 +19,8 @@ from plr_jax import (
     scenes,
 )
 
+pytestmark = pytest.mark.full
+
 ROWS = [
     row
     for row in json.loads((RESULTS / "table1.json").read_text())["results"]["rows"]

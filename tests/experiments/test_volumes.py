@@ -8,6 +8,8 @@ from experiments import _made_volumes as made
 from experiments._taut_paths import taut_paths
 from plr_jax import VoxelGraph, VoxelSpace
 
+pytestmark = pytest.mark.full
+
 GOAL = np.array([3.3, 16.2, 17.1])
 WINDOW = ((5, 7), (6, 9))  # along y and z, in a wall from x = 10 on
 

@@ -166,6 +166,7 @@ def test_double_precision_clamps_to_the_closed_domain():
             assert np.isfinite(plr(x, outside="clamp")).all()
 
 
+@pytest.mark.full
 def test_pairs_add_the_ways_of_both_ends():
     workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
     pairs = construct_pairs(workspace, max_bytes=300)
