@@ -174,7 +174,7 @@ def _steps(grid: _Grid) -> Any:
     """Lengths in units of the legal steps between free cells, each in one of its directions, a sparse matrix."""
     from scipy.sparse import csr_array
 
-    from plr_jax.oracles._grid_graph import legal_steps
+    from plr_jax.oracles._grids import legal_steps
 
     begin, end, is_diagonal = legal_steps(grid.free, grid.connectivity)
     number = np.cumsum(grid.free.ravel(), dtype=np.int32) - 1

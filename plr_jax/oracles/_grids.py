@@ -1,0 +1,436 @@
+"""Distances over grids: shortest paths from cell to cell, from voxel to voxel, and fields computed elsewhere."""
+
+from abc import ABC, abstractmethod
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import product
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt32
+from scipy.sparse import csgraph, csr_array
+
+from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, shortened, with_inf_for_masked
+from plr_jax._types import ArrayLike, Distances, Points
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.masks import as_mask
+from plr_jax.geometry.voxels import VoxelGrid
+
+_DISTANCES = 2**22  # of cells, held at a time
+_OUTSIDE = -1
+_POINTS = 8192  # whose interpolation stays in the cache
+_AXES = {6: 1, 18: 2, 26: 3}  # along how many a step between voxels leads at once
+_ROUNDING = 1e-9  # share by which a bucket is narrower than the shortest step
+
+
+class _CellGraph(ABC):
+    """Free cells that are joined by steps, and the distances of all cells to a goal."""
+
+    goal: Float[np.ndarray, "dim"] | None
+    dim: ClassVar[int]
+
+    def with_goal(self, goal: ArrayLike) -> Self:
+        """The same cells with another goal.
+
+        Args:
+            goal: A point of a free cell, ``(dim,)``.
+
+        Returns:
+            The graph with this goal, sharing the steps.
+
+        Raises:
+            ValueError: If the goal is in no free cell.
+        """
+        _ = self._steps  # computed once, for all copies
+        graph: Any = copy(self)
+        graph.__dict__.pop("_to_goal", None)
+        graph._set_goal(goal)
+        return graph
+
+    def __call__(self, x: ArrayLike) -> Distances:
+        """Length of a shortest path from the cell of each point to that of the goal.
+
+        Args:
+            x: Points, ``(n, dim)``.
+
+        Returns:
+            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, where no path leads to the goal, and for
+            points with a NaN.
+
+        Raises:
+            ValueError: If ``x`` has another shape, or there is no goal.
+        """
+        return self._to_goal[self._cells_of("x", x)]
+
+    def _set_goal(self, goal: ArrayLike) -> None:
+        goal = as_finite_point("The goal", goal, self.dim)
+        if not self._is_free[self._cells_of("The goal", goal[None])[0]]:
+            raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
+        set_fields(self, goal=goal)
+
+    @property
+    @abstractmethod
+    def _is_free(self) -> Bool[np.ndarray, "cells"]:
+        """Whether each cell is free, and that of the points outside."""
+
+    @property
+    @abstractmethod
+    def _steps(self) -> Any:
+        """The legal steps."""
+
+    @property
+    @abstractmethod
+    def _to_goal(self) -> Distances:
+        """Distance of each cell to the goal, and of that of the points outside."""
+
+    @abstractmethod
+    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
+        """The cell of each point, after a check of their shape."""
+
+
+def legal_steps(
+    free: Bool[np.ndarray, "rows columns"], connectivity: int
+) -> tuple[Int[np.ndarray, "steps"], Int[np.ndarray, "steps"], Bool[np.ndarray, "steps"]]:
+    """All legal steps, each in one of its directions: cells where they begin and end, and which ones are diagonal.
+
+    Cells are numbered in row-major order.
+    """
+    rows, columns = np.nonzero(free)
+    legal = np.pad(free, 1)
+    begin, end, is_diagonal = [], [], []
+    for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (connectivity == 8):
+        row, column = rows + 1, columns + 1
+        can = legal[row + down, column + right] & legal[row + down, column] & legal[row, column + right]
+        cell = (rows * free.shape[1] + columns)[can]
+        begin.append(cell)
+        end.append(cell + down * free.shape[1] + right)
+        is_diagonal.append(np.full(len(cell), down * right != 0))
+    return np.concatenate(begin), np.concatenate(end), np.concatenate(is_diagonal)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class GridGraph(_CellGraph):
+    """Number of steps over a grid to a goal, a `DistanceFn`, exact.
+
+    A step leads to one of four neighbors and counts 1, or to one of eight, of which the diagonal ones count the
+    square root of 2. A diagonal step cuts no corner: both cells beside it must be free. These are the rules of the
+    Moving AI benchmarks and, with four neighbors, of the League of Robot Runners.
+
+    The cell in row ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
+    :func:`scenes.read_map`, so that whole numbers are the columns and rows of ``.scen`` files. All points of a cell
+    have the same distance.
+
+    Args:
+        free: Which cells are free, ``(rows, columns)``, as :func:`scenes.read_cells` reads them from a ``.map`` file.
+        goal: A point of a free cell, ``(2,)``. None: there is none, and pairs alone can be asked for.
+        connectivity: Neighbors of a cell, 4 or 8.
+
+    Attributes:
+        free: As given, read-only.
+        connectivity: As given.
+        goal: As given, read-only.
+
+    Raises:
+        ValueError: If ``free`` is no array of booleans of two axes with one entry at least, the goal is in no free
+            cell, or there is another number of neighbors.
+
+    References:
+        N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012.
+    """
+
+    free: Bool[np.ndarray, "rows columns"]
+    connectivity: int
+    goal: Float[np.ndarray, "2"] | None
+    dim: ClassVar[int] = 2
+    """Number of coordinates of a point."""
+
+    def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
+        if isinstance(connectivity, bool) or connectivity not in (4, 8):
+            raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
+        cells = as_mask(free)
+        if not cells.size:
+            raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
+        cells.flags.writeable = False
+        set_fields(self, free=cells, connectivity=int(connectivity), goal=None)
+        if goal is not None:
+            self._set_goal(goal)
+
+    def __repr__(self) -> str:
+        rows, columns = self.free.shape
+        return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
+
+    def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
+        """Length of a shortest path between the cells of points, pair by pair.
+
+        Each different cell of ``x``, or of ``y`` if those are fewer, takes one search over the grid.
+
+        Args:
+            x: Points, ``(n, 2)``.
+            y: Points, ``(n, 2)``.
+
+        Returns:
+            Distances in steps, ``(n,)``; ``inf`` as for a call.
+
+        Raises:
+            ValueError: If a shape is another, or the numbers of points differ.
+        """
+        ends = self._cells_of("x", x), self._cells_of("y", y)
+        if len(ends[0]) != len(ends[1]):
+            raise ValueError(f"x and y must be as many points, got {len(ends[0])} and {len(ends[1])}.")
+        begin, end = sorted(ends, key=lambda cells: len(np.unique(cells)))
+        distances = np.full(len(begin), np.inf)
+        inside = np.flatnonzero((begin != _OUTSIDE) & (end != _OUTSIDE))
+        inside = inside[np.argsort(begin[inside], kind="stable")]
+        roots, first = np.unique(begin[inside], return_index=True)
+        at_once = max(_DISTANCES // self.free.size, 1)
+        for some in range(0, len(roots), at_once):
+            of_roots = self._search(roots[some : some + at_once])
+            last = first[some + at_once] if some + at_once < len(roots) else len(inside)
+            pairs = inside[first[some] : last]
+            distances[pairs] = of_roots[np.searchsorted(roots, begin[pairs]) - some, end[pairs]]
+        return distances
+
+    @cached_property
+    def _to_goal(self) -> Distances:
+        if self.goal is None:
+            raise ValueError("This grid has no goal: use GridGraph(free, goal), or with_goal(goal).")
+        return np.append(self._search(self._cells_of("The goal", self.goal[None]))[0], np.inf)
+
+    @cached_property
+    def _steps(self) -> csr_array:
+        """Lengths of the legal steps, each in one of its directions, between cells in row-major order."""
+        begin, end, is_diagonal = legal_steps(self.free, self.connectivity)
+        return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=2 * (self.free.size,))
+
+    def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
+        """Distances of all cells from some; a blocked one is not even 0 from itself."""
+        distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
+        distances[:, ~self.free.ravel()] = np.inf
+        return distances
+
+    @cached_property
+    def _is_free(self) -> Bool[np.ndarray, "cells"]:
+        return np.append(self.free, False)
+
+    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
+        """The cell of each point, in row-major order, ``_OUTSIDE`` if it is in none."""
+        x, (rows, columns) = as_points(name, x, 2), self.free.shape
+        inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
+        column, row = np.floor(np.where(inside[:, None], x, 0)).astype(np.intp).T
+        return np.where(inside, row * columns + column, _OUTSIDE)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class VoxelGraph(_CellGraph):
+    """Length of paths from voxel to voxel to a goal, a `DistanceFn`, exact.
+
+    A step leads from a voxel's center to that of a neighbor: through one of 6 faces, across one of 12 edges as well,
+    or also across one of 8 corners. All voxels of the box that it leads through must be free, so that it cuts no
+    edge or corner. In voxels with sides of 1 steps have the lengths 1, and the square roots of 2 and 3.
+
+    A path over 26 neighbors is one that a point can follow: its length is never below that of a shortest path of any
+    angle between the two centers, and in the open, of
+    cubes, at most 12.9 % above that.
+
+    A point in a face between two voxels is of the upper one, a point in an upper bound of the last one.
+
+    Args:
+        free: Which voxels are free, booleans ``(nx, ny, nz)``, at ``[i, j, k]`` those of a :class:`VoxelSpace`.
+        goal: A point of a free voxel, ``(3,)``; the distance is that from the voxel's center.
+        moves: Neighbors of a voxel, 6, 18 or 26.
+        bounds: The box that the voxels fill, or its corners ``(lo, hi)``. None: voxels have sides of 1, the first its
+            corner at 0, so that whole numbers are those of voxels.
+
+    Attributes:
+        grid: The voxels.
+        free: Which voxels are free, read-only.
+        bounds: The box that they fill.
+        goal: As given, read-only.
+        moves: As given.
+
+    Raises:
+        ValueError: If ``free`` is no array of booleans of three axes with a free voxel, the bounds are no box of
+            three axes or have periodic ones, the goal is in no free voxel, or there is another number of neighbors.
+
+    References:
+        R. Dial, "Algorithm 360: shortest-path forest with topological ordering", CACM 12(11), 1969.
+    """
+
+    grid: VoxelGrid
+    free: Bool[np.ndarray, "nx ny nz"]
+    bounds: Box
+    moves: int
+    goal: Float[np.ndarray, "3"]
+    dim: ClassVar[int] = 3
+    """Number of coordinates of a point."""
+
+    def __init__(self, free: ArrayLike, goal: ArrayLike, moves: int = 26, bounds: Box | ArrayLike | None = None):
+        if isinstance(moves, bool) or moves not in _AXES:
+            raise ValueError(f"moves must be 6, 18 or 26, got {shortened(moves)}.")
+        grid = VoxelGrid.of(free, bounds, range(3, 4))
+        set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves))
+        self._set_goal(goal)
+
+    def __repr__(self) -> str:
+        return f"VoxelGraph({' x '.join(map(str, self.free.shape))} voxels, {self.moves} moves)"
+
+    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
+        """The padded voxel of each point, in row-major order; the first, which is blocked, for one outside."""
+        x = as_points(name, self.bounds.settled(x), 3)
+        inside = self.bounds.contains(x)
+        x = np.where(inside[:, None], x, self.bounds.lo)
+        below, above = self.grid.numbers(x.T)
+        number = np.where(self.bounds.hi[:, None] == x.T, below, above)
+        return np.where(inside, np.ravel_multi_index(tuple(number), self.grid.padded.shape), 0)
+
+    @property
+    def _is_free(self) -> Bool[np.ndarray, "cells"]:
+        return self.grid.padded.ravel()
+
+    @cached_property
+    def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
+        """What steps change of a voxel's number along each axis; and which are legal from each, a bit each."""
+        steps = np.array(list(product((-1, 0, 1), repeat=3)))
+        num_axes = np.count_nonzero(steps, axis=1)
+        steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
+        padded, legal = self.grid.padded, np.zeros(self.grid.padded.shape, np.uint32)
+        for bit, step in enumerate(steps):
+            can = np.ones(self.free.shape, bool)
+            for part in product(*[(0, change) if change else (0,) for change in step]):
+                can &= padded[tuple(slice(1 + by, n - 1 + by) for by, n in zip(part, padded.shape, strict=True))]
+            legal[1:-1, 1:-1, 1:-1] |= can.astype(np.uint32) << np.uint32(bit)
+        return steps, legal.ravel()
+
+    @cached_property
+    def _to_goal(self) -> Distances:
+        """Distance of every padded voxel, by Dijkstra's search over buckets that a shortest step leads out of.
+
+        So all voxels of a bucket are final once it is the next, and go on at once.
+        """
+        steps, legal = self._steps
+        bits = np.arange(len(steps), dtype=np.uint32)
+        jumps = np.sum(steps * self.grid.padded.strides, axis=1)
+        lengths = np.linalg.norm(steps * self.grid.sides, axis=1)
+        width = lengths.min() * (1 - _ROUNDING)
+        distance = np.full(self.grid.padded.size, np.inf)
+        root = self._cells_of("The goal", self.goal[None])
+        distance[root] = 0.0
+        buckets = {0: [root]}
+        while buckets:
+            bucket = min(buckets)
+            voxels = np.concatenate(buckets.pop(bucket))
+            # What has come nearer since it was put here was in a bucket before.
+            voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == bucket])
+            begin, step = np.nonzero((legal[voxels][:, None] >> bits) & np.uint32(1))
+            end, length = voxels[begin] + jumps[step], distance[voxels][begin] + lengths[step]
+            better = length < distance[end]
+            end, length = end[better], length[better]
+            np.minimum.at(distance, end, length)
+            later = (length / width).astype(np.int64)
+            for number in np.unique(later).tolist():
+                buckets.setdefault(number, []).append(end[later == number])
+        return distance
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class GridField:
+    """Distances computed elsewhere at the cell centers of a grid, interpolated between them.
+
+    The grid's **last** axis runs along the first coordinate of a point, and its first axis along the last one:
+    ``values[row, column]`` is at ``(x, y)`` with ``x`` in that column and ``y`` in that row, row 0 at the lowest
+    ``y``, as in :meth:`Box.grid`. Fields of scikit-fmm over a ``meshgrid`` are so, and arrays of xarray of dimensions
+    ``("y", "x")`` that increase; give ``values[::-1]`` of a raster, whose row 0 is at the top, and ``values.T`` of a
+    table ``[x, y, ...]``.
+
+    Interpolation is multilinear between the centers of cells with a value: where some around a point have none,
+    weights of the others are scaled to a sum of 1. In the outer halves of the cells at the bounds the distance is
+    that of the nearest point between centers; along a periodic axis the last cells are neighbors of the first.
+
+    Args:
+        values: Distance at each center, of any dimension, at least 0; ``inf``, NaN or masked where the goal cannot
+            be reached.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
+
+    Attributes:
+        values: As given, ``inf`` where masked or NaN; read-only.
+        bounds: The box.
+
+    Raises:
+        ValueError: If the values are no numbers of at least 0, there are none, or the bounds are no box of as many
+            dimensions.
+    """
+
+    values: Float[np.ndarray, "..."]
+    bounds: Box
+
+    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike):
+        bounds = Box.of(bounds, "The bounds")
+        expected = f"distances on a grid of {bounds.dim} axes"
+        numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
+        if numbers.ndim != bounds.dim or numbers.size == 0:
+            raise ValueError(
+                f"values must be {expected}, as the bounds have, at least one, got shape {numbers.shape}."
+            )
+        numbers[np.isnan(numbers)] = np.inf
+        if numbers.min() < 0:
+            cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
+            raise ValueError(
+                f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance, and "
+                "give np.maximum(values, 0) of a field that is negative within the goal."
+            )
+        numbers.flags.writeable = False
+        set_fields(self, values=numbers, bounds=bounds)
+
+    def __repr__(self) -> str:
+        return f"GridField({' x '.join(map(str, self.values.shape))} cells, {self.bounds})"
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates of a point."""
+        return self.bounds.dim
+
+    def __call__(self, x: ArrayLike) -> Distances:
+        """Interpolated distance at each point.
+
+        Args:
+            x: Points, ``(n, dim)``.
+
+        Returns:
+            Distances, ``(n,)``; ``inf`` where the cell that holds the point has no value, outside the bounds, and for
+            points with a NaN.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", self.bounds.settled(x), self.dim)
+        distances = np.full(len(x), np.inf)
+        for begin in range(0, len(x), _POINTS):
+            part = x[begin : begin + _POINTS]
+            inside = np.flatnonzero(self.bounds.contains(part))
+            distances[begin + inside] = self._interpolated(part[inside])
+        return distances
+
+    def _interpolated(self, x: Points) -> Distances:
+        """Distances at points of the box."""
+        sizes = self.values.shape[::-1]
+        places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width * sizes).T
+        nearest, sides = [], []
+        for place, size, is_periodic in zip(places, sizes, self.bounds.periodic, strict=True):
+            nearest.append(np.minimum(place.astype(np.intp), size - 1))
+            # The cells whose centers are below and above, and their weights.
+            lower = np.floor(place - 0.5).astype(np.intp)
+            beyond = place - 0.5 - lower
+            below, above = (
+                (each % size if is_periodic else np.clip(each, 0, size - 1)) for each in (lower, lower + 1)
+            )
+            sides.append([(below, 1 - beyond), (above, beyond)])
+        total, total_weight = np.zeros(len(x)), np.zeros(len(x))
+        for corner in product(*sides):
+            value = self.values[tuple(cell for cell, _ in corner)[::-1]]
+            weight = reduce(np.multiply, (weight for _, weight in corner)) * np.isfinite(value)
+            total += weight * np.where(np.isfinite(value), value, 0.0)
+            total_weight += weight
+        # Where the nearest cell has a value, weights sum to a part of 1 at least.
+        is_known = np.isfinite(self.values[tuple(nearest[::-1])])
+        return np.divide(total, total_weight, out=np.full(len(x), np.inf), where=is_known)
