@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -11,13 +11,14 @@ import shapely
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after, set_fields, shortened
+from plr_jax._arrays import found as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
-from plr_jax.geometry.changed_distances import ChangedDistances
-from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility
+from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
+from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility, may_see
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
@@ -31,10 +32,10 @@ from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
-from plr_jax.oracles._changed_distances import changed_distances
 from plr_jax.oracles._pair_distances import PairDistances
 
 _LOST = 1e-6  # share of free space that rounding may lose
+_ROUNDING = 1e-12  # of the largest distance, by which changes may differ and are one
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -241,7 +242,7 @@ class VisibilityGraph:
         if (self.goal != before.goal).any():
             goals = f"{before.goal.tolist()} and {self.goal.tolist()}"
             raise ValueError(f"Both oracles must have one goal, got {goals}.")
-        return changed_distances(before, self)
+        return _changed_distances(before, self)
 
     @property
     def family(self) -> CornerVisibility:
@@ -398,3 +399,82 @@ def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"
         return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
     none = np.empty(0, int)
     return Viewpoints(goal[None], none, none)
+
+
+def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:
+    """What of the distances to a goal has changed from one oracle of it to another."""
+    change = Change.between(before.workspace.boundary, after.workspace.boundary)
+    old, new = before.workspace.triangulation, after.workspace.triangulation
+    boxes = change.boxes(4 * old.tolerance)
+    rounding = _ROUNDING * float(before.distances[np.isfinite(before.distances)].max(initial=0.0))
+    # 1. Which source afterwards each was before, the goal or a corner, and by how much its distance changed.
+    vertex = np.empty(len(before.family.corners.points), int)
+    vertex[before.family.views.owner] = change.old.edges[before.family.views.edge, 0]
+    corner = np.append(after.family.of_vertex, -1)[change.vertex[vertex]]
+    source = np.append(0, np.where(corner >= 0, 1 + corner, -1))
+    with np.errstate(invalid="ignore"):
+        source_change = np.where(source >= 0, after.distances[source] - before.distances, np.nan)
+    source_change[np.abs(source_change) <= rounding] = 0.0
+    # 2. Turn points before around which paths come afterwards as they did, and the turn points that these are now.
+    turn_of = np.full(len(after.distances) + 1, -1)
+    turn_of[after._turns.vertex] = np.arange(len(after._turns.vertex))
+    now = turn_of[source[before._turns.vertex]]
+    alike = now >= 0
+    alike[alike] = (after._turns.normal[:, now[alike]] == before._turns.normal[:, alike]).all(axis=(0, 2))
+    change_before = np.where(alike, source_change[before._turns.vertex], np.nan)
+    change_after = np.full(len(after._turns.vertex), np.nan)
+    change_after[now[alike]] = change_before[alike]
+    # 3. Pairs of a triangle and a source that may see some of it.
+    pairs_before = _triangle_sources(before, change_before, boxes)
+    pairs_after = _triangle_sources(after, change_after, boxes)
+    # 4. All triangles once: old ones first, then the new ones that are no old ones.
+    size = np.int64(len(change.new.vertices))
+    keys = []
+    for corners in (new.origin, change.vertex[old.origin]):
+        a, b, c = np.sort(corners.reshape(-1, 3), axis=1).astype(np.int64).T
+        keys.append(np.where(a < 0, -1, (a * size + b) * size + c))
+    same = index_of(*keys)  # the new triangle that each old one is
+    kept, num_old = np.flatnonzero(same >= 0), len(same)
+    number = np.full(len(keys[0]), -1)
+    number[same[kept]] = kept
+    number[number < 0] = num_old + np.arange(np.count_nonzero(number < 0))
+    triangles = np.concatenate([old.triangles, new.triangles[number >= num_old]])
+    pairs_after = replace(pairs_after, triangle=number[pairs_after.triangle])
+    # 5. Triangles whose distances have all changed by one number: NaN where pairs of theirs say otherwise. A pair is
+    #    in doubt only where the way from the source to the triangle may meet what changed.
+    shift = np.zeros(len(triangles))
+    least, most = np.full(len(triangles), np.inf), np.full(len(triangles), -np.inf)
+    for oracle, pairs in ((before, pairs_before), (after, pairs_after)):
+        rows = np.flatnonzero(pairs.is_doubted)
+        points = oracle.sources.points[pairs.source[rows], None]
+        pairs.is_doubted[rows] = are_met(np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes)
+        shift[pairs.triangle[pairs.is_doubted | np.isnan(pairs.change)]] = np.nan
+        known = ~np.isnan(pairs.change)
+        np.minimum.at(least, pairs.triangle[known], pairs.change[known])
+        np.maximum.at(most, pairs.triangle[known], pairs.change[known])
+    has_pairs = least <= most
+    shift[has_pairs & ~(most - least <= rounding)] = np.nan
+    shift[has_pairs & ~np.isnan(shift)] = least[has_pairs & ~np.isnan(shift)]
+    shift[:num_old][same < 0] = shift[num_old:] = np.nan
+    shift[np.abs(shift) <= rounding] = 0.0
+    was_cut_off = np.arange(len(triangles)) < num_old
+    was_cut_off[pairs_before.triangle] = False
+    pairs = (each.of(np.isnan(shift)) for each in (pairs_before, pairs_after))
+    slack = 4 * before.workspace.tolerance
+    return ChangedDistances(boxes, source, source_change, triangles, shift, was_cut_off, *pairs, rounding, slack)
+
+
+def _triangle_sources(
+    oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
+) -> TriangleSources:
+    """The pairs of an oracle; the goal is a source of each triangle of which it may see some, and has not changed."""
+    regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
+    seen = np.flatnonzero(may_see(oracle._goal_table, np.zeros(len(triangles), int), triangles))
+    triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
+    source = np.append(oracle._turns.vertex[regions.turn], 0 * seen)
+    is_doubted = np.zeros(len(oracle.distances), bool)
+    for first, table in ((0, oracle._goal_table), (1, oracle.family.table)):
+        view = np.arange(len(table.points))
+        for box in boxes:
+            is_doubted[first + view] |= may_see(table, view, box)
+    return TriangleSources(triangle, source, np.append(change[regions.turn], 0.0 * seen), is_doubted[source])
