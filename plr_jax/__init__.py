@@ -12,7 +12,7 @@ workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4,
 oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 ```
 
-- Where: `Workspace` and `FreeSpace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
+- Where: `Workspace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
   `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
 - Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `VoxelGraph`,
   `NearestGoal`; `robot_distance_fns`, one for each robot.

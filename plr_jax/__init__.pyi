@@ -19,7 +19,6 @@ from ._validate import ValidationReport as ValidationReport
 from ._validate import validate as validate
 from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
-from .geometry.free_space import FreeSpace as FreeSpace
 from .geometry.workspace import Workspace as Workspace
 from .ompl import ompl_objective as ompl_objective
 from .oracles import Dubins as Dubins

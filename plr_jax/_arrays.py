@@ -6,7 +6,6 @@ array of float64 is passed on as it is, and what has another shape or holds no r
 
 import math
 import reprlib
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,12 +20,6 @@ _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
-
-
-def is_of_jax(value: object) -> bool:
-    """Whether a value is an array of JAX, traced or not; JAX, if not imported yet, stays so."""
-    jax = sys.modules.get("jax")
-    return jax is not None and isinstance(value, jax.Array)
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
@@ -17,7 +17,6 @@ from plr_jax._arrays import (
     as_finite,
     as_points,
     deadline_after,
-    is_of_jax,
     require_integer,
     set_fields,
     shortened,
@@ -47,9 +46,6 @@ from plr_jax.geometry.boundary import (
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
-
-if TYPE_CHECKING:
-    from plr_jax.geometry.free_space import FreeSpace
 
 _MITRE_LIMIT = 1.5  # how far the corner of grown free space may be from the one it grew from: tips are cut off
 _MANY_EDGES = 1000  # above which the nearest is found sooner by a tree than by prepared lines
@@ -218,13 +214,6 @@ class Workspace:
         """Use a triangulation of ``boundary`` that was found from the one before a change."""
         set_fields(self, triangulation=triangulation)
 
-    @cached_property
-    def tables(self) -> "FreeSpace":
-        """Free space for compiled functions: about a kilobyte an edge, made once, in a second for 5,000 vertices."""
-        from plr_jax.geometry.free_space import free_space_of  # needs JAX, which nothing else here does
-
-        return free_space_of(self.boundary, self.bounds)
-
     @property
     def _tolerant(self) -> Any:
         return prepared(self, "grown", lambda: self._grown(self.tolerance))
@@ -252,12 +241,11 @@ class Workspace:
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
-    def is_free(self, x: ArrayLike) -> Bool[Any, "*batch"]:
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in closed free space.
 
         Args:
-            x: Points, ``(n, 2)``. JAX's, which may have any shape ``(..., 2)``, are looked up in :attr:`tables`:
-                under ``jax.jit`` and ``jax.vmap``, and to the tolerance of :meth:`FreeSpace.is_free`.
+            x: Points, ``(n, 2)``.
 
         Returns:
             True where free, walls included (to ``tolerance``); False outside the bounds, and for points that are not
@@ -267,8 +255,6 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        if is_of_jax(x):
-            return self.tables.is_free(x)
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
 
@@ -276,12 +262,11 @@ class Workspace:
         """The same for what has been computed: also true outside the bounds, by no more than ``tolerance``."""
         return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
 
-    def clearance(self, x: ArrayLike) -> Float[Any, "*batch"]:
+    def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Signed distance to the nearest obstacle or bound.
 
         Args:
-            x: Points, ``(n, 2)``. JAX's, which may have any shape ``(..., 2)``, are looked up in :attr:`tables`:
-                under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, and as exactly as :meth:`FreeSpace.clearance` says.
+            x: Points, ``(n, 2)``.
 
         Returns:
             Distance to the boundary of free space, in workspace units: positive in free space, zero on a
@@ -290,8 +275,6 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        if is_of_jax(x):
-            return self.tables.clearance(x)
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
         result = np.full(len(x), np.nan)

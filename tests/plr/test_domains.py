@@ -219,18 +219,15 @@ def test_under_jit_what_is_proven_holds_in_64_bits():
     there, oracle = maze(UTM, 200.0)
     far = construct(oracle, there.bounds, leaf="cone", max_bytes=1000, certified=True)
     x = there.sample_free(2000, 0)
-    distance, clearance = oracle(x), there.clearance(x)
+    distance = oracle(x)
 
     def holds(points):
         lower, upper = (np.asarray(bound, np.float64) for bound in jax.jit(far.bounds)(points))
         return (lower <= distance) & (distance <= upper)
 
-    def clearance_error(points):
-        return np.abs(np.asarray(jax.jit(there.clearance)(points)) - clearance).max()
-
-    assert not holds(x).all() and 0.01 < clearance_error(x) < 0.5
+    assert not holds(x).all()
     with jax.enable_x64(True):
-        assert holds(x).all() and clearance_error(x) < 1e-6
+        assert holds(x).all()
 
 
 def test_where_32_bits_tell_no_places_apart_64_bits_do_and_others_are_refused():
