@@ -1,10 +1,9 @@
 """The boundary of a polygonal region as a graph: its edges, and the free sectors at its vertices."""
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import compress
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -151,78 +150,55 @@ def are_crossed(
     return np.isin(np.arange(len(a)), segment[through])
 
 
-@dataclass(frozen=True, eq=False)
-class RingEdges:
-    """Rings of a region before edges are split where a vertex lies on one.
+def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
+    """Return the boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one.
 
     Args:
-        vertices: Distinct vertices, in order.
-        edges: Indices of the first and last vertex of each edge, the region on its left.
-        vertex: Vertices as near as the tolerance to edges of which they are no ends.
-        edge: These edges.
-        tolerance: The tolerance.
+        region: The region.
+        tolerance: How near a vertex is to an edge that it splits.
+        known: A boundary, of which edges and vertices are near no others of it, to save looking at them again.
+
+    Returns:
+        The boundary. None if a vertex is about a tolerance from an edge, or as near to another vertex: edges that are
+        split there may cross or cover one another.
     """
-
-    vertices: Float[np.ndarray, "vertices 2"]
-    edges: Int[np.ndarray, "edges 2"]
-    vertex: Int[np.ndarray, "pairs"]
-    edge: Int[np.ndarray, "pairs"]
-    tolerance: float
-
-    @classmethod
-    def of(cls, region: Any, tolerance: float, known: Boundary | None = None) -> "RingEdges":
-        """That of a valid Shapely (Multi)Polygon; edges and vertices of a known boundary are near no others of it."""
-        rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
-        points, ring = shapely.get_coordinates(rings, return_index=True)
-        numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
-        vertices, inner = np.stack([numbers.real, numbers.imag], axis=1), ring[1:] == ring[:-1]
-        edges = np.stack([index[:-1][inner], index[1:][inner]], axis=1)
-        all_vertices, all_edges = np.arange(len(vertices)), np.arange(len(edges))
-        if known is None:
-            return cls(vertices, edges, *_near(vertices, edges, tolerance, all_vertices, all_edges), tolerance)
-        of_known, of_edge = places_of(vertices, edges, known)
-        is_new = ~np.isin(all_vertices, of_known), ~np.isin(all_edges, of_edge)
-        new_vertices, new_edges = (np.flatnonzero(each) for each in is_new)
-        pairs = (
-            _near(vertices, edges, tolerance, all_vertices, new_edges),
-            _near(vertices, edges, tolerance, new_vertices, np.flatnonzero(~is_new[1])),
-        )
-        vertex, edge = np.concatenate(pairs, axis=1)
-        return cls(vertices, edges, vertex, edge, tolerance)
-
-    @property
-    def is_told_apart(self) -> bool:
-        """Whether vertices lie on edges, to a quarter of the tolerance, or not even to all of it.
-
-        If one does neither, or is as near to another vertex, edges that are split there may cross or cover one
-        another.
-        """
-        start, end = self.vertices[self.edges[self.edge]].transpose(1, 0, 2)
-        along, way = end - start, self.vertices[self.vertex] - start
-        is_beside = np.abs(cross_product(along, way)) > self.tolerance / 4 * np.linalg.norm(along, axis=1)
-        is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
-        first, last = np.sort(self._pieces, axis=1).T
-        pieces = np.sort(first * np.int64(len(self.vertices)) + last)
-        return not (is_beside | is_beyond).any() and bool((pieces[1:] != pieces[:-1]).all())
-
-    @cached_property
-    def _pieces(self) -> Int[np.ndarray, "pieces 2"]:
-        return _split(self.vertices, self.edges, self.vertex, self.edge)
-
-    @property
-    def boundary(self) -> Boundary:
-        """The boundary of the region, edges split where a vertex lies on one."""
-        vertices, edges = self.vertices, self._pieces
-        # A sector closes at the start of the arriving edge that comes first counterclockwise. Around a vertex leaving
-        # and arriving edges alternate, so a leaving one is closed by its successor.
-        at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
-        direction = vertices[other] - vertices[at]
-        order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
-        first, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
-        successor = order[first + (np.arange(len(order)) - first + 1) % (end - first)]
-        ends = np.empty(len(order), dtype=np.intp)
-        ends[order] = other[successor]
-        return Boundary(vertices, edges, ends[: len(edges)])
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
+    vertices, inner = np.stack([numbers.real, numbers.imag], axis=1), ring[1:] == ring[:-1]
+    edges = np.stack([index[:-1][inner], index[1:][inner]], axis=1)
+    # 1. Vertices as near as the tolerance to edges of which they are no ends.
+    is_new_vertex, is_new_edge = np.ones(len(vertices), bool), np.ones(len(edges), bool)
+    if known is not None:
+        for is_new, of_known in zip((is_new_vertex, is_new_edge), places_of(vertices, edges, known), strict=True):
+            is_new[of_known[of_known >= 0]] = False
+    new_edges, old_edges = np.flatnonzero(is_new_edge), np.flatnonzero(~is_new_edge)
+    of_new = _near(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
+    of_old = _near(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
+    vertex, edge = np.concatenate([of_new, of_old], axis=1)
+    # 2. Edges are cut at vertices on them, to a quarter of the tolerance. Others may not be even near.
+    start, end = vertices[edges[edge]].transpose(1, 0, 2)
+    along, way = end - start, vertices[vertex] - start
+    is_beside = np.abs(cross_product(along, way)) > tolerance / 4 * np.linalg.norm(along, axis=1)
+    is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
+    owner, first = np.append(np.arange(len(edges)), edge), np.append(edges[:, 0], vertex)
+    order = np.lexsort((np.append(np.zeros(len(edges)), np.linalg.norm(way, axis=1)), owner))
+    owner, first = owner[order], first[order]
+    is_last = np.append(owner[1:] != owner[:-1], True)
+    edges = np.stack([first, np.where(is_last, edges[owner, 1], np.roll(first, -1))], axis=1)
+    pieces = np.sort(edges.min(axis=1) * np.int64(len(vertices)) + edges.max(axis=1))
+    if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
+        return None
+    # 3. A sector closes at the start of the arriving edge that comes first counterclockwise. Around a vertex leaving
+    #    and arriving edges alternate, so a leaving one is closed by its successor.
+    at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
+    direction = vertices[other] - vertices[at]
+    order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
+    begin, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
+    successor = order[begin + (np.arange(len(order)) - begin + 1) % (end - begin)]
+    ends = np.empty(len(order), dtype=np.intp)
+    ends[order] = other[successor]
+    return Boundary(vertices, edges, ends[: len(edges)])
 
 
 def places_of(
@@ -268,22 +244,6 @@ def _meet(
     return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
 
 
-def _split(
-    vertices: Float[np.ndarray, "vertices 2"],
-    edges: Int[np.ndarray, "edges 2"],
-    vertex: Int[np.ndarray, "pairs"],
-    edge: Int[np.ndarray, "pairs"],
-) -> Int[np.ndarray, "pieces 2"]:
-    """Edges cut at vertices that lie on them."""
-    along = np.linalg.norm(vertices[vertex] - vertices[edges[edge, 0]], axis=1)
-    owner = np.concatenate([np.arange(len(edges)), edge])
-    start = np.concatenate([edges[:, 0], vertex])
-    order = np.lexsort((np.concatenate([np.zeros(len(edges)), along]), owner))
-    owner, start = owner[order], start[order]
-    last = np.append(owner[1:] != owner[:-1], True)
-    return np.stack([start, np.where(last, edges[owner, 1], np.roll(start, -1))], axis=1)
-
-
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline: float) -> Any:
     """What a disc's center must avoid beside a boundary: a strip along each wall and a fan around each reflex corner.
 
@@ -310,11 +270,6 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
             rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
-    return _united(regions, deadline)
-
-
-def _united(regions: list[Any], deadline: float) -> Any:
-    """The union of regions: of some at a time, until one is left."""
     while len(regions) > 1:
         united = []
         for begin in range(0, len(regions), _REGIONS):
@@ -495,13 +450,6 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
-def thicker_than(width: float, geometry: Any) -> tuple[Polygon, ...]:
-    """The polygons of a geometry without slivers: less area than a strip of such a width, as long as half around."""
-    polygons = polygons_of(geometry)
-    is_thick = shapely.area(polygons) > width / 2 * shapely.length(polygons)
-    return tuple(compress(polygons, is_thick.tolist()))
-
-
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     """Triangles that fill a region of polygons and do not overlap.
 
@@ -520,19 +468,6 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
 
 
-def sample_triangles(triangles: Float[np.ndarray, "triangles 3 2"], n: int, seed: int) -> Float[np.ndarray, "n 2"]:
-    """Points drawn uniformly from triangles that do not overlap."""
-    # From triangles and not by rejection, which would take forever where free space is a sliver.
-    corner, first, second = triangles.transpose(1, 0, 2)
-    first, second = first - corner, second - corner
-    area = np.abs(cross_product(first, second))
-    rng = np.random.default_rng(seed)
-    pick = rng.choice(len(area), n, p=area / area.sum())
-    u, v = rng.random((2, n, 1))
-    u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
-    return corner[pick] + u * first[pick] + v * second[pick]
-
-
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     """Geometries in which vertices as near to one another as the tolerance are the same, none of them dropped."""
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
@@ -545,13 +480,13 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
 
 class _Prepared(threading.local):
     def __init__(self):
-        self.of_owner: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
+        self.of_owner: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
 
 
 _PREPARED = _Prepared()
 
 
-def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
+def prepared(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
     """An owner's geometry, prepared for many queries of this thread alone: GEOS may crash where two query one."""
     of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
@@ -579,7 +514,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
     region = _simplified(rounded(free, grid), 4 * grid)
     # Snapped coarser and coarser where that is not enough, until nothing is thinner than edges may be cut beside.
     coarser = 32 * grid
-    while not (edges := RingEdges.of(region, 8 * grid)).is_told_apart:
+    while (boundary := ring_boundary(region, 8 * grid)) is None:
         if coarser > 256 * grid:
             raise ValueError(
                 f"Obstacles leave walls or gaps too thin to be told apart: make them thicker than "
@@ -587,7 +522,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
             )
         region = _simplified(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2
-    return Region(region, edges.boundary, coarser == 32 * grid)
+    return Region(region, boundary, coarser == 32 * grid)
 
 
 def region_after(free: Any, bounds: Box, old: Boundary) -> Region:
@@ -597,8 +532,8 @@ def region_after(free: Any, bounds: Box, old: Boundary) -> Region:
     if not shapely.is_valid(rounded):  # as slivers become, which rounding leaves no area
         return region_of(free, bounds)
     region = _simplified(rounded, 4 * grid)
-    edges = RingEdges.of(region, 8 * grid, old)
-    return Region(region, edges.boundary, True) if edges.is_told_apart else region_of(free, bounds)
+    boundary = ring_boundary(region, 8 * grid, old)
+    return region_of(free, bounds) if boundary is None else Region(region, boundary, True)
 
 
 def _simplified(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:

@@ -33,12 +33,11 @@ from plr_jax.geometry.boundary import (
     grid_of,
     grown_boundary,
     merge_vertices,
+    polygons_of,
     prepared,
     region_after,
     region_of,
     rounding_of,
-    sample_triangles,
-    thicker_than,
     thin_walls,
     triangulate,
     united_within,
@@ -46,6 +45,7 @@ from plr_jax.geometry.boundary import (
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
+from plr_jax.geometry.vectors import cross_product
 
 _MITRE_LIMIT = 1.5  # how far the corner of grown free space may be from the one it grew from: tips are cut off
 _MANY_EDGES = 1000  # above which the nearest is found sooner by a tree than by prepared lines
@@ -188,7 +188,9 @@ class Workspace:
     def _from_free_space(
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
-        blocked = thicker_than(grid_of(bounds), shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
+        blocked = np.array(polygons_of(shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)), object)
+        # Slivers have less area than a strip as wide as the grid and half as long as their outline.
+        blocked = blocked[shapely.area(blocked) > grid_of(bounds) / 2 * shapely.length(blocked)].tolist()
         return cls(bounds, blocked, squeeze=squeeze, region=region_of(free, bounds, rounded))
 
     @property
@@ -214,13 +216,13 @@ class Workspace:
         """Use a triangulation of ``boundary`` that was found from the one before a change."""
         set_fields(self, triangulation=triangulation)
 
-    @property
-    def _tolerant(self) -> Any:
-        return prepared(self, "grown", lambda: self._grown(self.tolerance))
-
     def _grown(self, tolerance: float) -> Any:
         """Free space grown by a tolerance."""
-        return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
+
+        def grow() -> Any:
+            return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
+
+        return prepared(self, ("grown", tolerance), grow)
 
     @property
     def walls(self) -> Any:
@@ -260,7 +262,7 @@ class Workspace:
 
     def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """The same for what has been computed: also true outside the bounds, by no more than ``tolerance``."""
-        return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
+        return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Signed distance to the nearest obstacle or bound.
@@ -312,8 +314,7 @@ class Workspace:
         if len(a) != len(b):
             raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
         tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
-        free = self._tolerant if tolerance == self.tolerance else self._grown(tolerance)
-        shapely.prepare(free)
+        free = self._grown(tolerance)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
@@ -426,7 +427,15 @@ class Workspace:
         """
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)
-        return sample_triangles(self._triangles, n, seed)
+        # From triangles and not by rejection, which would take forever where free space is a sliver.
+        corner, first, second = self._triangles.transpose(1, 0, 2)
+        first, second = first - corner, second - corner
+        area = np.abs(cross_product(first, second))
+        rng = np.random.default_rng(seed)
+        pick = rng.choice(len(area), n, p=area / area.sum())
+        u, v = rng.random((2, n, 1))
+        u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
+        return corner[pick] + u * first[pick] + v * second[pick]
 
 
 def require_workspace(workspace: object) -> None:
