@@ -459,7 +459,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     shift[np.abs(shift) <= rounding] = 0.0
     was_cut_off = np.arange(len(triangles)) < num_old
     was_cut_off[pairs_before.triangle] = False
-    pairs = (each.of(np.isnan(shift)) for each in (pairs_before, pairs_after))
+    pairs = pairs_before.of(np.isnan(shift)), pairs_after.of(np.isnan(shift))
     slack = 4 * before.workspace.tolerance
     return ChangedDistances(boxes, source, source_change, triangles, shift, was_cut_off, *pairs, rounding, slack)
 
