@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,6 +11,9 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
 from plr_jax._types import Points
+
+if TYPE_CHECKING:
+    import networkx
 
 _CHUNK = 1 << 18  # pairs of a point and a way held at a time
 
@@ -44,6 +47,15 @@ class Graph:
         rows, columns = np.concatenate([start, end]), np.concatenate([end, start])
         shape = (len(self.vertices), len(self.vertices))
         return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
+
+    def to_networkx(self) -> "networkx.Graph":
+        """Return the graph in NetworkX: nodes ``0, 1, ...`` with their ``pos``, edges with their length as ``weight``."""
+        import networkx  # takes a tenth of a second, and nothing else needs it
+
+        graph = networkx.Graph()
+        graph.add_nodes_from((node, {"pos": tuple(place)}) for node, place in enumerate(self.vertices.tolist()))
+        graph.add_weighted_edges_from(zip(*self.edges.T.tolist(), self.lengths.tolist(), strict=True))
+        return graph
 
 
 def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:

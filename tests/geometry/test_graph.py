@@ -28,10 +28,12 @@ def lattice_graphs(draw):
 
 @given(lattice_graphs())
 def test_dijkstra_agrees_with_networkx(graph):
-    edges = {frozenset(edge) for edge in graph.edges.tolist()}
-    weighted = nx.Graph([(a, b, {"weight": np.linalg.norm(np.subtract(*graph.vertices[[a, b]]))}) for a, b in edges])
-    weighted.add_nodes_from(range(len(graph.vertices)))
-    expected = nx.single_source_dijkstra_path_length(weighted, 0)
+    exported, edges = graph.to_networkx(), {frozenset(edge) for edge in graph.edges.tolist()}
+    assert {frozenset(edge) for edge in exported.edges} == edges
+    np.testing.assert_array_equal([place for _, place in exported.nodes(data="pos")], graph.vertices)
+    for a, b, weight in exported.edges(data="weight"):
+        assert weight == np.linalg.norm(np.subtract(*graph.vertices[[a, b]]))
+    expected = nx.single_source_dijkstra_path_length(exported, 0)
     distances, parents = dijkstra(graph, 0)
     np.testing.assert_allclose(distances, [expected.get(i, np.inf) for i in range(len(distances))], atol=1e-12)
     assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
