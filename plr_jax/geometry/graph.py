@@ -49,7 +49,7 @@ class Graph:
         return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
-        """Return the graph in NetworkX: nodes ``0, 1, ...`` with their ``pos``, edges with their length as ``weight``."""
+        """Return the graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, edges with their length as ``weight``."""
         import networkx  # takes a tenth of a second, and nothing else needs it
 
         graph = networkx.Graph()
