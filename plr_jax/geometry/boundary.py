@@ -16,12 +16,12 @@ from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_numbers, found, require_time, shortened
+from plr_jax._arrays import as_numbers, found, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle, turn_between
 
-_COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time, between two looks at the clock
+_COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time
 _TIP = 100  # tolerances from an end of an edge, where an edge of a blunter tip is not beside the other one any more
 _MOST_CHORDS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
@@ -244,12 +244,8 @@ def _meet(
     return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
 
 
-def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline: float) -> Any:
-    """What a disc's center must avoid beside a boundary: a strip along each wall and a fan around each reflex corner.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
-    """
+def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
+    """What a disc's center must avoid beside a boundary: a strip along each wall and a fan around each corner."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
@@ -262,7 +258,6 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     regions = []
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
-        require_time(deadline, "the obstacles were grown")
         collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
         collars = collars.tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
@@ -271,12 +266,8 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:
-        united = []
-        for begin in range(0, len(regions), _REGIONS):
-            require_time(deadline, "the obstacles were grown")
-            united.append(shapely.disjoint_subset_union_all(regions[begin : begin + _REGIONS]))
-        regions = united
-    require_time(deadline, "the obstacles were grown")
+        starts = range(0, len(regions), _REGIONS)
+        regions = [shapely.disjoint_subset_union_all(regions[begin : begin + _REGIONS]) for begin in starts]
     return regions[0]
 
 

@@ -394,10 +394,21 @@ class CellSources:
 
         If distances of sources are known, pieces from which no path leads to the goal are left out as well.
         """
-        found, has_goal = self.recentered(changed), self.sight.has_goal
-        by_all, by_center, keep = found.judged(
-            np.flatnonzero(changed[found.piece] & ~(found.by_all if has_goal else False))
-        )
+        # 1. Centers of changed pieces. The way by the center before bounds their distances: it is in the same convex
+        #    piece, or in the box that is one piece now.
+        center, has_goal = self.center.copy(), self.sight.has_goal
+        center[changed] = centers(self.pieces[:, changed])
+        found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
+        # 2. Whether all of its piece and the center see each source, and which pairs may matter. Pairs that are not
+        #    tested stay, and are taken to be seen by the center.
+        pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
+        bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
+        keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
+        by_center[pairs], keep[pairs] = by_all[pairs], bends
+        pairs = pairs[bends & ~by_all[pairs]]
+        piece, view = self.piece[pairs], self.views(self.source[pairs])
+        seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
+        by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
         if not has_goal:
             return replace(found, by_all=by_all).of_pairs(keep)
         # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
@@ -437,31 +448,6 @@ class CellSources:
         keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
-
-    def recentered(self, changed: OfPieces) -> Self:
-        """Find the centers of changed pieces, and an upper bound of their distances: by way of the center before.
-
-        That one is in the same convex piece, or in the box that is one piece now.
-        """
-        center = self.center.copy()
-        center[changed] = centers(self.pieces[:, changed])
-        return replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-
-    def judged(
-        self, pairs: Int[np.ndarray, "some"]
-    ) -> tuple[Bool[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]:
-        """Return whether all of its piece sees each source, whether the center does, and which pairs may matter.
-
-        Only the given pairs are tested: the others stay, and are taken to be seen by the center.
-        """
-        bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
-        keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
-        by_center[pairs], keep[pairs] = by_all[pairs], bends
-        pairs = pairs[bends & ~by_all[pairs]]
-        piece, view = self.piece[pairs], self.sight.named.view[self.source[pairs]]
-        seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], self.center[piece])
-        by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
-        return by_all, by_center, keep
 
 
 def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:

@@ -8,7 +8,7 @@ edge. So the cost follows the change, but for a few passes over arrays of all ed
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -44,10 +44,10 @@ class Change:
     vertex: Int[np.ndarray, "old_vertices"]
     edge: Int[np.ndarray, "old_edges"]
 
-    @classmethod
-    def between(cls, old: Boundary, new: Boundary) -> "Change":
-        """That of two boundaries."""
-        return cls(old, new, *places_of(new.vertices, new.edges, old))
+    @staticmethod
+    def between(old: Boundary, new: Boundary) -> "Change":
+        """Compare two boundaries."""
+        return Change(old, new, *places_of(new.vertices, new.edges, old))
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
@@ -60,10 +60,6 @@ class Change:
     def segments(self) -> Float[np.ndarray, "changed 2 2"]:
         """All edges that are of one boundary alone."""
         return np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
-
-    def is_near(self, x: Float[np.ndarray, "2"], margin: float) -> bool:
-        """Whether a point is in one of the boxes around changed edges."""
-        return any((box[0] <= x).all() and (x <= box[2]).all() for box in self.boxes(margin))
 
     @cached_property
     def _extents(self) -> tuple[Float[np.ndarray, "parts 2"], Float[np.ndarray, "parts 2"]]:
@@ -85,12 +81,24 @@ class Change:
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
     """The triangulation after a change; None where rounding keeps new triangles from filling the gap."""
-    kept = ~_are_met(old, change)
+    # 1. Triangles stay unless they have a wall that is gone, or meet an edge that is new.
+    is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
+    kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
+    segments = change.new.segments[change.is_new]
+    if len(segments):
+        triangles, tolerance = old.triangles, old.tolerance
+        lo, hi = triangles.min(axis=1) - tolerance, triangles.max(axis=1) + tolerance
+        first, last = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
+        near = np.flatnonzero(((lo <= last) & (hi >= first)).all(axis=1) & kept)
+        polygons: Any = shapely.polygons(triangles[near])
+        lines: Any = shapely.linestrings(segments)
+        row, _ = shapely.STRtree(lines).query(polygons, predicate="dwithin", distance=tolerance)
+        kept[near[row]] = False
     half_kept = np.repeat(kept, 3)
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)
     has_triangle[wall[half_kept & (wall >= 0)]] = True
-    # The gap lies between new walls, those that lost their triangles, and what triangles that stay look out by.
+    # 2. The gap lies between new walls, those that lost their triangles, and what triangles that stay look out by.
     vertex = change.vertex[old.origin]
     rims = np.flatnonzero(~half_kept & (old.twin >= 0) & half_kept[old.twin])
     walls = np.flatnonzero(~has_triangle)
@@ -106,6 +114,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         return None
     if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):
         return None
+    # 3. Half-edges that stay, then those that fill the gap, joined along the rims.
     kept_half = np.flatnonzero(half_kept)
     number = np.full(len(half_kept), -1)
     number[kept_half] = np.arange(len(kept_half))
@@ -125,85 +134,16 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
 
 
-def _are_met(old: Triangulation, change: Change) -> Bool[np.ndarray, "triangles"]:
-    """Which triangles have a wall that is gone, or meet an edge that is new."""
-    is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
-    met = np.asarray(is_gone.reshape(-1, 3).any(axis=1))
-    segments = change.new.segments[change.is_new]
-    if not len(segments):
-        return met
-    triangles, tolerance = old.triangles, old.tolerance
-    lo, hi = triangles.min(axis=1) - tolerance, triangles.max(axis=1) + tolerance
-    first, last = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
-    near = np.flatnonzero(((lo <= last) & (hi >= first)).all(axis=1) & ~met)
-    polygons: Any = shapely.polygons(triangles[near])
-    lines: Any = shapely.linestrings(segments)
-    row, _ = shapely.STRtree(lines).query(polygons, predicate="dwithin", distance=tolerance)
-    met[near[row]] = True
-    return met
-
-
-@dataclass(frozen=True, eq=False)
-class Looked:
-    """What a goal sees.
-
-    Attributes:
-        table: Its visibility polygon.
-        corner: Corners that it may see.
-    """
-
-    table: VisibilityTable
-    corner: Int[np.ndarray, "corners"]
+GoalView: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "_"]]
+"""What a goal sees: its visibility polygon, and the corners that it may see."""
 
 
 def changed_visibility(
-    old: CornerVisibility, of_goal: Looked, goal: Viewpoints, workspace: Workspace, change: Change
-) -> tuple[CornerVisibility, Looked]:
+    old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
+) -> tuple[CornerVisibility, GoalView]:
     """What the corners of a workspace and a goal see after a change, of which its triangulation knows."""
     corners, views = find_corners(workspace)
-    same = _same_corners(old, views, change)
-    before = np.where(np.append(_may_see(old.table, change), True)[same], -1, same)
-    goal_looks = bool(_may_see(of_goal.table, change)[0])
-    kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
-    found, (view, vertex) = visibility_of(workspace.triangulation, _and(views[looks], goal if goal_looks else None))
-    table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
-    seen = corner_of_vertex(workspace.boundary, views)[vertex]
-    if goal_looks:
-        new = Looked(
-            _spliced([_Views(found, np.array([len(looks)]), np.zeros(1, int))], change), seen[view == len(looks)]
-        )
-    else:
-        now = np.full(len(old.corners.points), -1)
-        now[same[same >= 0]] = np.flatnonzero(same >= 0)
-        new = Looked(
-            _spliced([_Views(of_goal.table, np.zeros(1, int), np.zeros(1, int))], change), now[of_goal.corner]
-        )
-    # Pairs of corners of which both stay are what they were; of the others one has looked anew.
-    number = np.full(len(old.corners.points), -1)
-    number[before[kept]] = kept
-    edges = number[old.edges]
-    edges = edges[(edges >= 0).all(axis=1)]
-    is_pair = (view < len(looks)) & (seen >= 0)
-    view, seen = looks[view[is_pair]], seen[is_pair]
-    view, seen = view[view != seen], seen[view != seen]
-    back = np.flatnonzero(before[seen] >= 0)
-    back = back[table.sees(seen[back], corners.points[view[back]])]
-    view, seen = np.append(view, seen[back]), np.append(seen, view[back])
-    edges = np.concatenate([edges, joined_pairs(corners, view, seen)])
-    size = np.int64(max(1, len(corners.points)))
-    keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
-    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
-
-
-def _and(views: Viewpoints, other: Viewpoints | None) -> Viewpoints:
-    if other is None:
-        return views
-    points, owner = np.concatenate([views.points, other.points]), other.owner + len(views.points)
-    return Viewpoints(points, np.append(views.owner, owner), np.append(views.edge, other.edge))
-
-
-def _same_corners(old: CornerVisibility, views: Viewpoints, change: Change) -> Int[np.ndarray, "corners"]:
-    """The old corner that each new one is, between the same walls; -1 for none."""
+    # 1. The old corner that each new one is, between the same walls.
     boundary = change.new
     of_vertex, is_kept = np.full(len(boundary.vertices), -1), change.vertex >= 0
     of_vertex[change.vertex[is_kept]] = old.of_vertex[is_kept]
@@ -219,7 +159,38 @@ def _same_corners(old: CornerVisibility, views: Viewpoints, change: Change) -> I
     counts = np.bincount(views.owner, minlength=len(views.points))
     old_counts = np.bincount(old.views.owner, minlength=len(old.views.points))
     differs |= counts != np.append(old_counts, 0)[before]
-    return np.where(differs, -1, before)
+    same = np.where(differs, -1, before)
+    # 2. Corners that may see a change look anew, and the goal if it may.
+    before = np.where(np.append(_may_see(old.table, change), True)[same], -1, same)
+    goal_looks = bool(_may_see(of_goal[0], change)[0])
+    kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
+    looking = views[looks]
+    if goal_looks:
+        points, owner = np.concatenate([looking.points, goal.points]), goal.owner + len(looks)
+        looking = Viewpoints(points, np.append(looking.owner, owner), np.append(looking.edge, goal.edge))
+    found, (view, vertex) = visibility_of(workspace.triangulation, looking)
+    table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
+    seen = corner_of_vertex(workspace.boundary, views)[vertex]
+    goal_table, goal_row = (found, len(looks)) if goal_looks else (of_goal[0], 0)
+    now = np.full(len(old.corners.points), -1)
+    now[same[same >= 0]] = np.flatnonzero(same >= 0)
+    goal_corners = seen[view == len(looks)] if goal_looks else now[of_goal[1]]
+    new = _spliced([_Views(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
+    # 3. Pairs of corners of which both stay are what they were; of the others one has looked anew.
+    number = np.full(len(old.corners.points), -1)
+    number[before[kept]] = kept
+    edges = number[old.edges]
+    edges = edges[(edges >= 0).all(axis=1)]
+    is_pair = (view < len(looks)) & (seen >= 0)
+    view, seen = looks[view[is_pair]], seen[is_pair]
+    view, seen = view[view != seen], seen[view != seen]
+    back = np.flatnonzero(before[seen] >= 0)
+    back = back[table.sees(seen[back], corners.points[view[back]])]
+    view, seen = np.append(view, seen[back]), np.append(seen, view[back])
+    edges = np.concatenate([edges, joined_pairs(corners, view, seen)])
+    size = np.int64(max(1, len(corners.points)))
+    keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
+    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
 
 
 def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:

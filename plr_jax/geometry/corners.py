@@ -1,6 +1,5 @@
 """The corners at which shortest paths turn: what each sees, which join, and where paths to one goal turn first."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +11,7 @@ from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 _SLACK = 100
@@ -100,14 +99,10 @@ class CornerVisibility:
         return corner_of_vertex(self.table.boundary, self.views)
 
 
-def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> CornerVisibility:
-    """What the corners of a workspace see, found once for all goals.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
-    """
+def corner_visibility(workspace: Workspace) -> CornerVisibility:
+    """What the corners of a workspace see, found once for all goals."""
     corners, views = find_corners(workspace)
-    table, (view, vertex) = visibility_of(workspace.triangulation, views, deadline)
+    table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     other = (seen >= 0) & (seen != view)
     return CornerVisibility(corners, views, table, joined_pairs(corners, view[other], seen[other]))
@@ -272,12 +267,6 @@ class TurnRegions:
             x[rest], lambda point, vertex: sees(rest[point], vertex)
         )
         return vertex, length
-
-
-def turn_regions(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> TurnRegions:
-    """Those of the turn points, which are viewpoints one after the other."""
-    visits = triangles_within(triangulation, views, *turns.bounds)
-    return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
 
 def views_by_triangle(

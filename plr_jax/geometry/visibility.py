@@ -4,7 +4,6 @@ Around a viewpoint the same edge is nearest within an interval of directions, so
 of directions with the nearest edge after each.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -13,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import require_time
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.triangulation import Triangulation, after, before
 from plr_jax.geometry.vectors import pseudo_angle
@@ -119,23 +117,19 @@ def triangles_within(
         right: Direction of the right bound of the cone of each, a unit vector; zero for all that it looks into.
         left: That of its left bound, at most half a turn from there.
     """
-    far = np.ptp(triangulation.boundary.vertices, axis=0).max()
-    first = _clipped(_first_cones(triangulation, views), far * right, far * left)
-    visited = [np.stack([first.view, first.half_edge // 3])]
-    visited += [new for _, _, new in _expansion(triangulation, views, first)]
-    return np.concatenate(visited, axis=1)
-
-
-def _clipped(cones: _Cones, right: Vectors, left: Vectors) -> _Cones:
-    """What of the cones lies in another one for each viewpoint."""
-    right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
+    far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
+    # The part of each cone that lies in the cone of its viewpoint.
+    right, left, bounds = far * right[cones.view].T, far * left[cones.view].T, (cones.right, cones.left)
     whole = ~right.any(axis=0)
     from_right = _inside(right, *bounds), _inside(cones.right, right, left)
     from_left = _inside(left, *bounds), _inside(cones.left, right, left)
     kept = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
     right = np.where(from_right[0] & ~whole, right, cones.right)
     left = np.where(from_left[0] & ~whole, left, cones.left)
-    return _Cones(cones.view, cones.half_edge, right, left)[kept]
+    first = _Cones(cones.view, cones.half_edge, right, left)[kept]
+    visited = [np.stack([first.view, first.half_edge // 3])]
+    visited += [new for _, _, new in _expansion(triangulation, views, first)]
+    return np.concatenate(visited, axis=1)
 
 
 def _inside(
@@ -153,9 +147,32 @@ def _expansion(
     while pending:
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
-        onward, seen, visited = _advanced(triangulation, views, cones[np.flatnonzero(~is_wall)])
+        walls, cones = cones[np.flatnonzero(is_wall)], cones[np.flatnonzero(~is_wall)]
+        # Of the next triangles, the corner ahead may be seen, and may part the cone.
+        view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
+        entry = triangulation.twin[cones.half_edge]
+        right_exit, left_exit = after(entry), before(entry)
+        ahead = triangulation.origin[left_exit]
+        x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
+        from_right, from_left = rx * y - ry * x, x * ly - y * lx
+        tolerance, squared = triangulation.tolerance, x * x + y * y
+        right_slack = tolerance * np.sqrt(np.maximum(squared, rx * rx + ry * ry))
+        left_slack = tolerance * np.sqrt(np.maximum(squared, lx * lx + ly * ly))
+        seen = (from_right >= -right_slack) & (from_left >= -left_slack)
+        goes_right, goes_left = from_right > _BLUR * right_slack, from_left > _BLUR * left_slack
+        goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
+        goes_left |= ~goes_right
+        parted = goes_right & goes_left
+        middle = np.stack([x, y])
+        right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
+        onward = _Cones(
+            np.concatenate([view[right], view[left]]),
+            np.concatenate([right_exit[right], left_exit[left]]),
+            np.concatenate([cones.right[:, right], np.where(parted, middle, cones.right)[:, left]], axis=1),
+            np.concatenate([np.where(parted, middle, cones.left)[:, right], cones.left[:, left]], axis=1),
+        )
         pending += [onward[begin : begin + _MOST] for begin in range(0, len(onward), _MOST)]
-        yield cones[np.flatnonzero(is_wall)], seen, visited
+        yield walls, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
@@ -177,36 +194,7 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     return _Cones(view, half_edge, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
-def _advanced(
-    triangulation: Triangulation, views: Viewpoints, cones: _Cones
-) -> tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]:
-    """Cones after the next triangle, and which of its corners ahead, and of the triangles, are seen."""
-    view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
-    entry = triangulation.twin[cones.half_edge]
-    right_exit, left_exit = after(entry), before(entry)
-    ahead = triangulation.origin[left_exit]
-    x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
-    from_right, from_left = rx * y - ry * x, x * ly - y * lx
-    tolerance, squared = triangulation.tolerance, x * x + y * y
-    right_slack = tolerance * np.sqrt(np.maximum(squared, rx * rx + ry * ry))
-    left_slack = tolerance * np.sqrt(np.maximum(squared, lx * lx + ly * ly))
-    seen = (from_right >= -right_slack) & (from_left >= -left_slack)
-    goes_right, goes_left = from_right > _BLUR * right_slack, from_left > _BLUR * left_slack
-    goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
-    goes_left |= ~goes_right
-    parted = goes_right & goes_left
-    middle = np.stack([x, y])
-    right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
-    onward = _Cones(
-        np.concatenate([view[right], view[left]]),
-        np.concatenate([right_exit[right], left_exit[left]]),
-        np.concatenate([cones.right[:, right], np.where(parted, middle, cones.right)[:, left]], axis=1),
-        np.concatenate([np.where(parted, middle, cones.left)[:, right], cones.left[:, left]], axis=1),
-    )
-    return onward, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
-
-
-_VIEWS = 1 << 12  # that look around between two looks at the clock
+_VIEWS = 1 << 12  # that look around at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,22 +279,18 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 
 
 def visibility_of(
-    triangulation: Triangulation, views: Viewpoints, deadline: float = math.inf
+    triangulation: Triangulation, views: Viewpoints
 ) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
     """What viewpoints see of the region that is triangulated.
 
     Returns:
         Their visibility polygons, and viewpoint and vertex of each pair that see one another, some repeatedly.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
     boundary, num_views = triangulation.boundary, len(views.points)
     cut, counts = np.empty((num_views, 2)), np.zeros(num_views, int)
     keys, edges, seen = [np.empty(0)], [np.empty(0, np.int32)], [np.empty((2, 0), np.int32)]
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, num_views, _VIEWS):
-            require_time(deadline, f"all viewpoints had looked around: {begin:,} of {num_views:,} had")
             part = views[begin : begin + _VIEWS]
             cones, of_part_seen = look_around(triangulation, part)
             of_part = slice(begin, begin + len(part.points))

@@ -1,6 +1,5 @@
 """A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,7 +15,6 @@ from plr_jax._arrays import (
     as_bool,
     as_finite,
     as_points,
-    deadline_after,
     require_integer,
     set_fields,
     shortened,
@@ -327,7 +325,7 @@ class Workspace:
             visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)
         return visible
 
-    def inflate(self, radius: float, *, time_limit: float | int = math.inf) -> "Workspace":
+    def inflate(self, radius: float) -> "Workspace":
         """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
 
         The grown obstacles' sides are exact. Their corners, arcs in truth, become polygons inscribed in the
@@ -337,21 +335,18 @@ class Workspace:
 
         Args:
             radius: Radius of the disc, in workspace units, at least 0.
-            time_limit: Seconds that it may take. A single call of Shapely is not cut short.
 
         Returns:
             The inflated workspace.
 
         Raises:
             ValueError: If the radius is negative or not finite, or leaves no free space.
-            TimeoutError: If the time limit passes first.
         """
-        deadline = deadline_after(time_limit)
         if as_finite("radius", radius) == 0:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
-        grown = grown_boundary(self.boundary, radius, grid_of(self.bounds), deadline)
+        grown = grown_boundary(self.boundary, radius, grid_of(self.bounds))
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")

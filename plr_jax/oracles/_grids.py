@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Self
 
@@ -413,24 +413,23 @@ class GridField:
 
     def _interpolated(self, x: Points) -> Distances:
         """Distances at points of the box."""
-        sizes = self.values.shape[::-1]
-        places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width * sizes).T
-        nearest, sides = [], []
-        for place, size, is_periodic in zip(places, sizes, self.bounds.periodic, strict=True):
-            nearest.append(np.minimum(place.astype(np.intp), size - 1))
-            # The cells whose centers are below and above, and their weights.
-            lower = np.floor(place - 0.5).astype(np.intp)
-            beyond = place - 0.5 - lower
-            below, above = (
-                (each % size if is_periodic else np.clip(each, 0, size - 1)) for each in (lower, lower + 1)
-            )
-            sides.append([(below, 1 - beyond), (above, beyond)])
-        total, total_weight = np.zeros(len(x)), np.zeros(len(x))
-        for corner in product(*sides):
-            value = self.values[tuple(cell for cell, _ in corner)[::-1]]
-            weight = reduce(np.multiply, (weight for _, weight in corner)) * np.isfinite(value)
-            total += weight * np.where(np.isfinite(value), value, 0.0)
-            total_weight += weight
-        # Where the nearest cell has a value, weights sum to a part of 1 at least.
-        is_known = np.isfinite(self.values[tuple(nearest[::-1])])
-        return np.divide(total, total_weight, out=np.full(len(x), np.inf), where=is_known)
+        from scipy import ndimage  # which takes longer to import than other oracles need
+
+        shape = np.array(self.values.shape)[:, None]
+        places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
+        # Weights of cells without a value are left out, and the others scaled to a sum of 1. Where the nearest cell
+        # has a value, they sum to a part of 1 at least.
+        total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in self._padded)
+        is_known = np.isfinite(self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))])
+        return np.divide(total, weight, out=np.full(len(x), np.inf), where=is_known)
+
+    @cached_property
+    def _padded(self) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+        """Values, 0 where there is none, and whether there is one, with a cell more at each end of each axis."""
+        is_known = np.isfinite(self.values)
+        values, weights = np.where(is_known, self.values, 0.0), is_known.astype(float)
+        for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
+            width = [(int(each == axis),) * 2 for each in range(values.ndim)]
+            mode = "wrap" if is_periodic else "edge"
+            values, weights = np.pad(values, width, mode), np.pad(weights, width, mode)
+        return values, weights

@@ -1,6 +1,5 @@
 """Exact shortest-path distance among polygons in the plane."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -10,7 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after, set_fields, shortened
+from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
 from plr_jax._arrays import found as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
@@ -18,7 +17,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
-from plr_jax.geometry.changes import Change, Looked, changed_triangulation, changed_visibility, may_see
+from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
@@ -26,11 +25,11 @@ from plr_jax.geometry.corners import (
     TurnRegions,
     corner_visibility,
     find_turn_points,
-    turn_regions,
+    views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, triangles_within, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -50,7 +49,6 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, ``(2,)``, in closed free space.
-        time_limit: Seconds that construction may take. A single call of Shapely is not cut short.
         shared: What the oracles of one workspace share, as :meth:`with_goal` passes it on; None: it is computed.
         goal_view: What the goal sees, if it is known; the goal is then known to be free.
 
@@ -60,7 +58,6 @@ class VisibilityGraph:
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
-        TimeoutError: If the time limit passes first.
 
     References:
         de Berg et al., Computational Geometry (3rd ed.), chapter 15, by :mod:`plr_jax.geometry.visibility`.
@@ -85,26 +82,24 @@ class VisibilityGraph:
         workspace: Workspace,
         goal: ArrayLike,
         *,
-        time_limit: float | int = math.inf,
         shared: PairDistances | None = None,
-        goal_view: Looked | None = None,
+        goal_view: GoalView | None = None,
     ):
         require_workspace(workspace)
-        deadline = deadline_after(time_limit)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
         if shared is None:
-            shared = PairDistances(workspace, corner_visibility(workspace, deadline))
+            shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         if goal_view is None:
             view = _goal_view(workspace.boundary, workspace.tolerance, goal)
             goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
-            goal_view = Looked(goal_table, corners.of_vertex[seen])
+            goal_view = goal_table, corners.of_vertex[seen]
         # The goal, vertex 0, is joined to the corners that it sees and that see it.
-        corner = np.setdiff1d(goal_view.corner, [-1])
+        corner = np.setdiff1d(goal_view[1], [-1])
         corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
-        set_fields(self, _goal_table=goal_view.table, _goal_edges=edges)
+        set_fields(self, _goal_table=goal_view[0], _goal_edges=edges)
         distances, parents = dijkstra(self.graph, 0)
         turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
@@ -142,14 +137,14 @@ class VisibilityGraph:
         if (own.tolerance, own.squeeze) != (workspace.tolerance, workspace.squeeze):
             return VisibilityGraph(workspace, goal)
         change = Change.between(own.boundary, workspace.boundary)
-        if change.is_near(goal, own.tolerance):
+        if any((box[0] <= goal).all() and (goal <= box[2]).all() for box in change.boxes(own.tolerance)):
             _free_goal(workspace, goal)
         if not workspace.is_triangulated:
             if (triangulation := changed_triangulation(own.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
             workspace.use_triangulation(triangulation)
         view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-        old_view = Looked(self._goal_table, self._goal_edges[:, 1] - 1)
+        old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
@@ -169,7 +164,9 @@ class VisibilityGraph:
     @cached_property
     def regions(self) -> TurnRegions:
         turns = self._turns
-        return turn_regions(turns, self.workspace.triangulation, self._corners.views[turns.vertex - 1])
+        triangulation = self.workspace.triangulation
+        visits = triangles_within(triangulation, self._corners.views[turns.vertex - 1], *turns.bounds)
+        return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
     @cached_property
     def sources(self) -> Sources:

@@ -1,8 +1,7 @@
 import numpy as np
-import pytest
 
 import plr_jax
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, VisibilityGraph, Workspace, robot_distance_fns
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns
 
 
 def test_each_robot_has_its_own_goal_and_size():
@@ -42,21 +41,6 @@ def test_mixed_teams():
     problem = Problem(workspace, robots, [(1, 1, 0), (1, 4, 0), (2, 8, 0)], [(9, 1, 0), (9, 4, 0), (8, 8, 0)])
     lengths = [f(start[None, :2])[0] for f, start in zip(robot_distance_fns(problem), problem.starts, strict=True)]
     np.testing.assert_allclose(lengths, [8, 8, 6])
-
-
-def distances_to_a_point(problem, **limit):
-    return VisibilityGraph(problem.workspace, problem.goals[0], **limit)
-
-
-@pytest.mark.parametrize("build", [robot_distance_fns, distances_to_a_point])
-def test_construction_ends_at_its_time_limit(build):
-    problem = plr_jax.scenes.four_rooms(3)
-    with pytest.raises(TimeoutError, match=r"0 of [\d,]+ had|0 of 3 robots"):
-        build(problem, time_limit=1e-9)
-    for wrong in (0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="time_limit must be a positive number or inf"):
-            build(problem, time_limit=wrong)
-    build(problem, time_limit=60)
 
 
 def test_a_disc_fits_a_passage_exactly_as_wide_as_it_is():
