@@ -32,12 +32,6 @@ What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 """A batch of joint configurations on the host, one a row."""
 
-HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
-"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf``, or masked, where it has no estimate.
-
-What one may offer besides: :class:`SeparableHeuristic`, :class:`BoundingFn`.
-"""
-
 
 @runtime_checkable
 class DimensionedFn(Protocol):
@@ -235,11 +229,14 @@ class SymmetricFn(Protocol):
 
 
 @runtime_checkable
-class SeparableHeuristic(Protocol):
-    """A heuristic that is a sum over robots: planners evaluate its terms once a robot's configuration."""
+class HeuristicFn(Protocol):
+    """Estimated cost-to-go, a sum over robots: planners evaluate its terms once a robot's configuration.
+
+    Never NaN; ``inf``, or masked, where it has no estimate. It may be a :class:`BoundingFn` besides.
+    """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]:
-        """The sum of the terms, as a :data:`HeuristicFn`."""
+        """The sum of the terms, of a batch of joint configurations ``(n, robots, dof)``."""
         ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:

@@ -19,15 +19,11 @@ from plr_jax import (
     robot_distance_fns,
     validate,
 )
-from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest, motions_apart
-from plr_jax.planners import best_first as tables
-from plr_jax.planners import straight_line, sum_of_distances
-from plr_jax.planners._options import PRIMITIVES, SearchBudget
-from plr_jax.planners.lattice import JointLattice, build_lattices
+from plr_jax.planners import sum_of_distances
+from plr_jax.planners._solution import SearchBudget
+from plr_jax.planners.lattice import build_lattices
 
-TRANSLATIONS = PRIMITIVES[:8]
-FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
 MIXED = Problem(
     ROOM,
@@ -92,15 +88,8 @@ def planned(problem, heuristic=None, **options):
     return solution
 
 
-def joint_lattice_of(problem, step, primitives=PRIMITIVES):
-    test = JointMotionTest(problem.workspace, problem.robots)
-    return JointLattice(problem, tuple(build_lattices(problem, step, primitives)), test)
-
-
-def heuristic_table(joint, heuristic, weight):
-    plain = None if isinstance(heuristic, SeparableHeuristic) else heuristic
-    terms = straight_line(joint.problem) if plain else heuristic
-    return tables.heuristic_table(joint, tables.tabulate(joint, terms), weight, plain)
+def joint_lattice_of(problem, step, deadline=np.inf):
+    return build_lattices(problem, step, JointMotionTest(problem.workspace, problem.robots, deadline))
 
 
 def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
@@ -141,9 +130,9 @@ def reachable(joint):
     reached, newest = {start}, [start]
     while newest:
         state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)
-        free = np.isfinite(joint.move_costs(state, primitive))
-        free &= apart(joint, state, primitive)
-        for child in map(tuple, joint.move(state[free], primitive[free]).tolist()):
+        children, costs = joint.move(state, primitive)
+        free = np.isfinite(costs) & apart(joint, state, primitive)
+        for child in map(tuple, children[free].tolist()):
             if child not in reached:
                 reached.add(child)
                 newest.append(child)

@@ -1,13 +1,10 @@
 """Teams on their lattices, for the tests of what moves them step by step."""
 
-import numpy as np
 import shapely
 from planner_helpers import joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace, scenes
-from plr_jax.planners._options import PRIMITIVES
 from plr_jax.planners.lacam import LaCAM, TeamMoves
-from plr_jax.planners.lattice import kinds_of
 
 TRIANGLE = PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)])
 MIXED = Problem(
@@ -20,13 +17,11 @@ MIXED = Problem(
 TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(12), 0.4), "mixed": (MIXED, 0.6)}
 
 
-def team_of(problem, step, primitives=PRIMITIVES):
-    joint = joint_lattice_of(problem, step, primitives)
-    kinds = kinds_of(joint)
-    costs_to_go = [kind.costs_to_go(np.arange(len(kind.members))) for kind in kinds]
-    return joint, TeamMoves(kinds, costs_to_go, problem.workspace.tolerance)
+def team_of(problem, step):
+    joint = joint_lattice_of(problem, step)
+    return joint, TeamMoves(joint, joint.costs_to_go)
 
 
-def search_of(problem, step, primitives=PRIMITIVES, budget=None):
-    joint, moves = team_of(problem, step, primitives)
+def search_of(problem, step, budget=None):
+    joint, moves = team_of(problem, step)
     return LaCAM(joint, moves, budget or search_budget())

@@ -47,12 +47,10 @@ PLR_LAYERS = [
 # And inside that of the planners.
 PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
-    ["_options"],
     ["lattice"],
     ["best_first", "lacam", "reservations", "sequential", "shorten", "through_time"],
     ["driver"],
-    ["_replan"],
-    ["_lifelong"],
+    ["under_way"],
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {

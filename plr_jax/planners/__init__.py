@@ -3,11 +3,11 @@
 from plr_jax.planners._heuristics import straight_line as straight_line
 from plr_jax.planners._heuristics import sum_of_distances as sum_of_distances
 from plr_jax.planners._heuristics import zero as zero
-from plr_jax.planners._lifelong import LifelongRun as LifelongRun
-from plr_jax.planners._lifelong import lifelong as lifelong
-from plr_jax.planners._options import BLOptions as BLOptions
-from plr_jax.planners._replan import replan as replan
+from plr_jax.planners._solution import BLOptions as BLOptions
 from plr_jax.planners._solution import Solution as Solution
 from plr_jax.planners._solution import Stats as Stats
 from plr_jax.planners._solution import Status as Status
 from plr_jax.planners.driver import bl_plan as bl_plan
+from plr_jax.planners.under_way import LifelongRun as LifelongRun
+from plr_jax.planners.under_way import lifelong as lifelong
+from plr_jax.planners.under_way import replan as replan

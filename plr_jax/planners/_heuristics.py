@@ -10,7 +10,14 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened, with_inf_for_masked
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
+from plr_jax._types import (
+    ArrayLike,
+    BoundingFn,
+    DimensionedFn,
+    HeuristicFn,
+    JointConfigurations,
+    StackableDistanceFn,
+)
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # that answers in NumPy or JAX
 # Terms of a heuristic: one a joint configuration and robot, never NaN.
@@ -23,7 +30,7 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 @dataclass(frozen=True, eq=False)
 class SumOverRobots:
-    """A heuristic that is a sum over robots (a :class:`plr_jax._types.SeparableHeuristic`).
+    """A heuristic that is a sum over robots (a :class:`plr_jax._types.HeuristicFn`).
 
     Args:
         per_robot: Its terms, of joint configurations ``(n, robots, dof)``: one a configuration and robot.
@@ -102,7 +109,16 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
             size, or a function wants more coordinates than there are or returns another shape than ``(n,)`` or NaN.
             What a function itself raises comes through.
     """
-    distance_fns = _distance_fns(distance_fns)
+    if callable(distance_fns) or not isinstance(distance_fns, Iterable):
+        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
+    distance_fns = tuple(distance_fns)
+    if not distance_fns:
+        raise ValueError("distance_fns must hold one function a robot, got none.")
+    for i, fn in enumerate(distance_fns):
+        if not callable(fn):
+            raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
+        if isinstance(fn, DimensionedFn) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
+            raise ValueError(f"The `dim` of the distance function of robot {i} must be 2 or 3, got {fn.dim!r}.")
     first = distance_fns[0]
     if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
         evaluate = first.stack(distance_fns)
@@ -126,24 +142,16 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
 
 
 def require_heuristic(heuristic: object) -> None:
-    """Raise ``ValueError`` if a heuristic is none, or a function of this module that makes one."""
-    if not callable(heuristic):
-        message = f"heuristic must be a function of joint configurations, got {shortened(heuristic)}."
-        if isinstance(heuristic, list | tuple) and heuristic and all(map(callable, heuristic)):
-            message += " For one distance function a robot: sum_of_distances(distance_fns)."
-        raise ValueError(message)
+    """Raise ``ValueError`` if a heuristic has no terms, or is a function of this module that makes one."""
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             name = factory.__name__
             raise ValueError(f"heuristic must be what {name}({arguments}) returns, got {name} itself: call it.")
-
-
-def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarray, "n"]:
-    """What a heuristic says of joint configurations, which it is shown in batches of few sizes; 0 for negatives."""
-    if not len(q):
-        return np.zeros(0)
-    batch = padded(q, padded_size(len(q)), q[-1])
-    return require_estimates(heuristic(batch), batch.shape[:1])[: len(q)]
+    if not isinstance(heuristic, HeuristicFn):
+        expected = (
+            "a sum over robots, with per_robot(q), such as sum_of_distances(distance_fns), one function a robot"
+        )
+        raise ValueError(f"heuristic must be {expected}, got {shortened(heuristic)}.")
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
@@ -179,20 +187,6 @@ def _one_by_one(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -
                     error.add_note(f"{name} was given (x, y, theta). {hint}")
                 raise
     return distances
-
-
-def _distance_fns(distance_fns: Any) -> tuple[AnyDistanceFn, ...]:
-    if callable(distance_fns) or not isinstance(distance_fns, Iterable):
-        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
-    distance_fns = tuple(distance_fns)
-    if not distance_fns:
-        raise ValueError("distance_fns must hold one function a robot, got none.")
-    for i, fn in enumerate(distance_fns):
-        if not callable(fn):
-            raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
-        if isinstance(fn, DimensionedFn) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
-            raise ValueError(f"The `dim` of the distance function of robot {i} must be 2 or 3, got {fn.dim!r}.")
-    return distance_fns
 
 
 def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:

@@ -1,9 +1,11 @@
-"""What every planner returns: a path, what it costs, and why the planner ended; and the file that holds it."""
+"""What a planner is given, options and limits, and what it returns: a path, its cost, why it ended; and its file."""
 
 import enum
 import json
 import math
 import os
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -11,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
+from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer, shortened
 from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
@@ -305,3 +307,115 @@ def _stats_in(entry: Any) -> Stats:
     seconds = {phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()}
     history = tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history)
     return Stats(**{name: entry[name] for name in _COUNTS}, seconds=seconds, history=history, found_by=found_by)
+
+
+# Options and limits.
+
+SEARCHERS = ("lacam", "bl")
+_LARGEST_WEIGHT = 1e6
+
+
+@dataclass(frozen=True)
+class BLOptions:
+    """Options of :func:`plr_jax.bl_plan`.
+
+    Args:
+        searchers: Which searches take turns until one finds a path. "lacam" is LaCAM, which moves the whole team one
+            step at a time: it is over at once where robots can push one another along, for large teams as well. "bl"
+            is best-first search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
+            It alone heeds ``heuristic_weight``. Only where both are asked for, a few discs are tried one after the
+            other before.
+        step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
+            problem is solved.
+        heuristic_weight: Factor of the heuristic in best-first search, from 0 to 1e6. The larger, the greedier. None:
+            2, or 3/8 a robot if that is more, as many robots have more ways to stand in each other's. It grows by
+            half from one lattice to the next finer one.
+        cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
+            costs more, the search goes on with smaller weights and steps, until a limit. 1: to the limit, as a rule.
+            The bound is that of straight lines unless something better is given: ``lower_bound``, or a heuristic
+            that is one, such as the exact distances.
+        lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
+            straight lines and what the heuristic proves.
+        time_limit: Seconds, positive or ``inf``. A call of Shapely or of the heuristic, and a search of a lattice for
+            costs-to-go, are not cut short.
+        max_expansions: Most expansions; deterministic, unlike the time limit.
+        max_memory: Most bytes of the lattices and of the search's nodes.
+
+    Raises:
+        ValueError: If an option is out of its range, or ``searchers`` names none or an unknown one.
+    """
+
+    searchers: Sequence[str] = SEARCHERS
+    step: float | int | None = None
+    heuristic_weight: float | int | None = None
+    cost_factor: float | int = float("inf")
+    lower_bound: float | int | None = None
+    time_limit: float | int = 60.0
+    max_expansions: float | int = float("inf")
+    max_memory: float | int = 4e9
+
+    def __post_init__(self) -> None:
+        for name in ("step", "lower_bound"):
+            value = getattr(self, name)
+            if value is not None:
+                as_number(name, value, "None or a positive finite number", lambda number: 0 < number < math.inf)
+        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
+            as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
+        if self.heuristic_weight is not None:
+            expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
+            weight = as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT)
+            object.__setattr__(self, "heuristic_weight", weight)
+        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
+        if not is_some or any(name not in SEARCHERS for name in self.searchers):
+            raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
+
+
+def require_task(problem: Problem, options: BLOptions) -> None:
+    """``ValueError`` unless these are a problem and options."""
+    if not isinstance(problem, Problem):
+        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
+        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    if not isinstance(options, BLOptions):
+        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
+
+
+@dataclass
+class SearchBudget:
+    """What a planner may still do, until a time of ``time.perf_counter``, and what it has done."""
+
+    deadline: float
+    max_expansions: float | int
+    max_memory: float | int
+    num_nodes: int = 0
+    num_expansions: int = 0
+    num_children_scored: int = 0
+    num_children_valid: int = 0
+    memory: int = 0
+
+    def exceeded(self) -> Status | None:
+        """The limit that is reached, if one is."""
+        if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
+            return Status.EXPANSION_LIMIT
+        return self.spent()
+
+    def spent(self) -> Status | None:
+        """The limit of time or memory, if one of these is reached."""
+        if time.perf_counter() >= self.deadline:
+            return Status.TIME_LIMIT
+        return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
+
+
+class HeldMemory:
+    """Bytes that something holds, and that count against a budget until they are released."""
+
+    def __init__(self, budget: SearchBudget):
+        self.budget, self.num_bytes = budget, 0
+
+    def add(self, num_bytes: int) -> None:
+        """Hold so many bytes more, or less."""
+        self.num_bytes += num_bytes
+        self.budget.memory += num_bytes
+
+    def release(self) -> None:
+        """Hold none."""
+        self.add(-self.num_bytes)

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, UInt8
 from tqdm import tqdm
 
 from plr_jax._arrays import require_time, runs
-from plr_jax._types import HeuristicFn, SeparableHeuristic
-from plr_jax.planners._heuristics import estimates, require_estimates
-from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget
-from plr_jax.planners._solution import Status
-from plr_jax.planners.lattice import JointLattice, Lattice, State
+from plr_jax._types import HeuristicFn
+from plr_jax.planners._heuristics import require_estimates
+from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners.lattice import JointLattice, State
 
 _CHUNK = 1 << 15  # configurations of a robot whose estimates are asked for at a time, between two looks at the clock
 _PURPOSE = "the heuristic was known"
@@ -23,15 +22,14 @@ _INFINITE = 1e30  # estimates that are too large for sums of float32 count as in
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
 _MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node
 _COPIES, _SCORE_BYTES = 3, 12  # of the primitives of a joint child, and what a product takes while it is cut
+_BATCH = 16  # nodes expanded at once at most; it widens from one while the search makes no progress
+_WIDTH = 1024  # joint children held while a product of primitives is assembled, at first
 _KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
 _PRODUCTS = 1 << 20  # of a robot's primitives and what others do, at a time, which bounds the temporaries
 
-Plain: TypeAlias = HeuristicFn | None
 Table: TypeAlias = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
-Scores: TypeAlias = Float[np.ndarray, "n m"]
-Joint: TypeAlias = UInt8[np.ndarray, "n m robots"]  # joint primitives
 
 
 class Successors(NamedTuple):
@@ -45,8 +43,8 @@ class Successors(NamedTuple):
         whole: Whether no collision-free child is missing.
     """
 
-    score: Scores
-    primitive: Joint
+    score: Float[np.ndarray, "n m"]
+    primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int
     num_valid: int
     whole: Bool[np.ndarray, "n"]
@@ -87,48 +85,7 @@ def best_successors(
     return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
 
 
-class HeuristicTable(NamedTuple):
-    """A weighted heuristic over the robots' lattices.
-
-    A separable heuristic is evaluated once a configuration of a robot, before the search. Of any other, each joint
-    child is evaluated; straight lines then choose which children are worth it where there are too many.
-
-    Args:
-        weight: The factor of the heuristic.
-        tables: Each robot's unweighted terms; those of straight lines beside a ``plain`` heuristic.
-        scores: The cost of each configuration's primitives and the weighted term of where they lead.
-        plain: The heuristic if it has no terms.
-        farthest: The least number that stands for an infinite joint estimate.
-    """
-
-    weight: float
-    tables: Sequence[Table]
-    scores: Sequence[Float[np.ndarray, "_ _"]]
-    plain: Plain
-    farthest: float
-
-    def __call__(self, joint: JointLattice, state: State) -> Float[np.ndarray, "n"]:
-        """Weighted estimates of joint configurations, always finite."""
-        if self.plain is None:
-            return self.weight * np.sum([table[s] for table, s in zip(self.tables, state.T, strict=True)], axis=0)
-        values = estimates(self.plain, joint.configurations(state))
-        known = values < _INFINITE
-        return self.weight * np.where(known, values, max(self.farthest, 2 * values[known].max(initial=0.0)))
-
-    def rescored(self, joint: JointLattice, state: State, children: Successors) -> tuple[Scores, Joint]:
-        """Successors by the heuristic itself where straight lines chose them."""
-        if self.plain is None:
-            return children.score, children.primitive
-        row, column = np.nonzero(np.isfinite(children.score))
-        primitive = children.primitive[row, column]
-        score = np.full(children.score.shape, np.inf, np.float32)
-        score[row, column] = joint.move_costs(state[row], primitive) + self(joint, joint.move(state[row], primitive))
-        order = np.argsort(score, axis=1, kind="stable")
-        rows = np.arange(len(score))[:, None]
-        return score[rows, order], children.primitive[rows, order]
-
-
-def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float = math.inf) -> list[Table]:
+def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
     """A heuristic's terms over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
 
     A negative estimate counts as 0.
@@ -147,71 +104,61 @@ def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 
-def heuristic_table(
-    joint: JointLattice, values: Sequence[Table], weight: float, plain: Plain = None, deadline: float = math.inf
-) -> HeuristicTable:
-    """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
-
-    An infinite estimate never prunes: it counts as farther than all finite ones.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
-    """
-    tables, scores = [], []
-    for lattice, estimate in zip(joint.lattices, values, strict=True):
-        require_time(deadline, _PURPOSE)
-        known = estimate < _INFINITE
-        tables.append(np.where(known, estimate, 2 * estimate[known].max(initial=0.0)))
-        scores.append((lattice.cost + weight * tables[-1][lattice.child]).astype(np.float32))
-    return HeuristicTable(weight, tables, scores, plain, float(2 * sum(table.max() for table in tables)))
-
-
 @dataclass
 class SuccessorList:
     """The best successors of an expanded node, best first, and how far they have been looked at.
 
-    Their scores are cost-to-come and weighted heuristic, their joint cells bytes. ``width`` says how wide they were
-    sought, ``whole`` whether the node has no others, ``at`` which is the first that has not been looked at.
+    Their scores are cost-to-come and weighted heuristic. ``width`` says how wide they were sought, ``whole`` whether
+    the node has no others, ``at`` which is the first that has not been looked at.
     """
 
     score: Float[np.ndarray, "m"]
     cost: Float[np.ndarray, "m"]
     state: State
-    cell: Shaped[np.ndarray, "m"]
     width: int
     whole: bool
+    num_bytes: int
     at: int = 0
-
-    @property
-    def num_bytes(self) -> int:
-        """Memory it takes."""
-        return sum(column.nbytes for column in (self.score, self.cost, self.state, self.cell))
 
 
 class BestFirstSearch:
     """Barraquand and Latombe's search: the best node of the frontier adds its best children in unclaimed cells.
 
-    A node adds only a few children at a time, and returns to the frontier with the score of its next one
-    (partial expansion). Several nodes are expanded at once while the search makes no progress.
+    A node adds one child at a time, and returns to the frontier with the score of its next one (partial expansion).
+    Several nodes are expanded at once while the search makes no progress. Every joint configuration is a cell.
+
+    Args:
+        joint: The team on its lattices.
+        estimates: The terms of the heuristic: each robot's, of all its configurations. An infinite one never prunes:
+            it counts as farther than all finite ones.
+        weight: The factor of the heuristic.
+        budget: What the search may still do.
 
     Attributes:
+        scores: Of each robot the cost of its configurations' primitives and the weighted term of where they lead.
         states, costs, parents: For each node where it is, its cost-to-come and the node whose child it is; -1 for
             the root.
         found: The node at the goals, once there is one.
+
+    Raises:
+        TimeoutError: If the deadline passes before the scores are known.
     """
 
-    def __init__(self, joint: JointLattice, estimate: HeuristicTable, options: BLOptions, budget: SearchBudget):
-        self.joint, self.estimate, self.options, self.budget = joint, estimate, options, budget
-        radii = [robot.circumscribed_radius for robot in joint.problem.robots]
-        self.cells = [claimed_cells(*each, options.cell_size) for each in zip(joint.lattices, radii, strict=True)]
-        self.held = HeldMemory(budget)
+    def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
+        self.joint, self.budget, self.held = joint, budget, HeldMemory(budget)
+        self.scores, self.nearest = [], 0.0
+        for lattice, estimate in zip(joint.lattices, estimates, strict=True):
+            require_time(budget.deadline, _PURPOSE)
+            known = estimate < _INFINITE
+            table = np.where(known, estimate, 2 * estimate[known].max(initial=0.0))
+            self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
+            self.nearest += weight * table[lattice.start]
         self.held.add(bytes_of_tables(joint))
         self.most_products = 0  # bytes that the widest products took so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices], np.int32)
         self.states, self.costs, self.parents = [start], [0.0], [-1]
-        self.nearest = self.estimate(joint, start[None])[0]
-        self.claimed = {self._cells_of(start[None])[0].tobytes()}
+        self.claimed = {start.tobytes()}
         self.frontier = [(float(self.nearest), 0, 0)]
         self.successors: dict[int, SuccessorList] = {}
         self.wider: dict[int, int] = {}
@@ -233,10 +180,10 @@ class BestFirstSearch:
             nearest, before = self.nearest, self.num_expansions
             self._expand(batch)
             for node in batch:
-                self._add_children(node)
+                self._add_child(node)
             if progress is not None:
                 progress.update(self.num_expansions - before)
-            self.size = 1 if self.nearest < nearest else min(2 * self.size, self.options.batch)
+            self.size = 1 if self.nearest < nearest else min(2 * self.size, _BATCH)
         if self.found is not None:
             return Status.SOLVED
         return None if self.frontier else Status.EXHAUSTED
@@ -261,8 +208,8 @@ class BestFirstSearch:
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
-                by_width.setdefault(self.wider.get(node, self.options.width), []).append(node)
-        most = max(lattice.num_primitives for lattice in self.joint.lattices)
+                by_width.setdefault(self.wider.get(node, _WIDTH), []).append(node)
+        most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(of_width), size):
@@ -271,50 +218,42 @@ class BestFirstSearch:
                 num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.held.add(max(0, num_bytes - self.most_products))
                 self.most_products = max(self.most_products, num_bytes)
-                self._find_successors(some, width)
+                # The best children of these nodes, of which the first are kept.
+                state = np.array([self.states[node] for node in some])
+                cost = np.array([self.costs[node] for node in some])
+                children = best_successors(self.joint, self.scores, state, width)
+                num_valid = np.isfinite(children.score).sum(axis=1)
+                num_kept = np.minimum(num_valid, max(width // _KEPT, 1))
+                whole = children.whole & (num_kept == num_valid)
+                row, column = runs(num_kept)
+                score = cost[row] + children.score[row, column]
+                state, move_cost = self.joint.move(state[row], children.primitive[row, column])
+                cost = cost[row] + move_cost
+                self.budget.num_children_scored += children.num_scored
+                self.budget.num_children_valid += children.num_valid
+                last = np.cumsum(num_kept)
+                for i, node in enumerate(some):
+                    own = slice(last[i] - num_kept[i], last[i])
+                    num_bytes = sum(column[own].nbytes for column in (score, cost, state))
+                    self.successors[node] = SuccessorList(
+                        score[own], cost[own], state[own], width, bool(whole[i]), num_bytes
+                    )
+                    self.held.add(num_bytes)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
 
-    def _find_successors(self, nodes: list[int], width: int) -> None:
-        """Find the best children of nodes, and keep the first of each."""
-        state, cost = np.array([self.states[node] for node in nodes]), np.array([self.costs[node] for node in nodes])
-        children = best_successors(self.joint, self.estimate.scores, state, width)
-        score, primitive = self.estimate.rescored(self.joint, state, children)
-        num_valid = np.isfinite(score).sum(axis=1)
-        num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.options.branching)))
-        whole = children.whole & (num_kept == num_valid)
-        row, column = runs(num_kept)
-        state, cost, primitive = state[row], cost[row], primitive[row, column]
-        score = cost + score[row, column]
-        cost = cost + self.joint.move_costs(state, primitive)
-        state = self.joint.move(state, primitive)
-        cell = self._cells_of(state)
-        self.budget.num_children_scored += children.num_scored
-        self.budget.num_children_valid += children.num_valid
-        last = np.cumsum(num_kept)
-        for i, node in enumerate(nodes):
-            own = slice(last[i] - num_kept[i], last[i])
-            self.successors[node] = SuccessorList(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
-            self.held.add(self.successors[node].num_bytes)
-
-    def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
-        """Joint cells, each as bytes."""
-        cells = [of_robot[column] for of_robot, column in zip(self.cells, state.T, strict=True)]
-        cells = np.stack(cells, axis=1, dtype=np.int32)
-        return cells.view(f"V{cells.shape[1] * cells.itemsize}")[:, 0]
-
-    def _add_children(self, node: int) -> None:
-        """Claim the cells of a node's next children, and return it to the frontier by the score of the one after."""
-        successors, missing = self.successors[node], self.options.branching
+    def _add_child(self, node: int) -> None:
+        """Claim the cell of a node's next child, and return it to the frontier by the score of the one after."""
+        successors, is_added = self.successors[node], False
         for child in range(successors.at, len(successors.score)):
-            cell, score = successors.cell[child].tobytes(), successors.score[child]
-            if cell in self.claimed:
+            state, score = successors.state[child].copy(), successors.score[child]
+            if (cell := state.tobytes()) in self.claimed:
                 continue
-            if not missing:
+            if is_added:
                 successors.at = child
                 self._return(score, node)
                 return
-            state, cost = successors.state[child].copy(), float(successors.cost[child])
+            is_added, cost = True, float(successors.cost[child])
             self.claimed.add(cell)
             self._return(score, len(self.states))
             if np.array_equal(state, self.goal):
@@ -325,7 +264,6 @@ class BestFirstSearch:
             self.nearest = min(self.nearest, score - cost)
             self.budget.num_nodes += 1
             self.held.add(_NODE_BYTES + 8 * len(state))
-            missing -= 1
         del self.successors[node]
         self.held.add(-successors.num_bytes)
         if not successors.whole and successors.width < _WIDEST:
@@ -341,20 +279,5 @@ class BestFirstSearch:
 
 def bytes_of_tables(joint: JointLattice) -> int:
     """About what the tables of each robot's motions take that best-first search makes."""
-    sizes = [(lattice.table.child.size, len(lattice.table.q)) for lattice in joint.lattices]
+    sizes = [(lattice.kind.child.size, len(lattice.q)) for lattice in joint.lattices]
     return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)
-
-
-def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
-    """The cell of a robot's configuration space that each configuration of its lattice claims: a number for each.
-
-    The robot's corners are ``radius`` from its center. Without a size of cells, every configuration is its own. The
-    goal has a cell of its own, so that nothing else claims it.
-    """
-    nodes = np.arange(len(lattice.q))
-    if cell_size is None:
-        return nodes
-    scale = np.array([1.0, 1.0, radius])[: lattice.q.shape[1]]
-    cells = np.unique(np.floor(lattice.q * scale / cell_size), axis=0, return_inverse=True)[1].reshape(-1)
-    cells[lattice.goal] = -1
-    return cells

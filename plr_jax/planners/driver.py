@@ -3,33 +3,33 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 from tqdm import tqdm
 
-from plr_jax._arrays import require_time
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax._types import BoundingFn, HeuristicFn, SeparableHeuristic
+from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._heuristics import estimates, require_heuristic, straight_line
-from plr_jax.planners._options import SEARCHERS, BLOptions, HeldMemory, Primitive, SearchBudget, require_task
-from plr_jax.planners._solution import JointPath, Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.planners.best_first import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
-from plr_jax.planners.lacam import LaCAM, TeamMoves
-from plr_jax.planners.lattice import (
-    JointLattice,
-    Kind,
-    OfKinds,
-    State,
-    build_lattices,
-    by_robot,
-    kinds_of,
-    num_configurations,
+from plr_jax.planners._heuristics import require_estimates, require_heuristic
+from plr_jax.planners._solution import (
+    SEARCHERS,
+    BLOptions,
+    HeldMemory,
+    JointPath,
+    SearchBudget,
+    Solution,
+    Stats,
+    Status,
+    require_task,
+    solution_of,
+    straight_line_bound,
 )
+from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, tabulate
+from plr_jax.planners.lacam import LaCAM, TeamMoves
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, side_by_side
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
@@ -84,14 +84,12 @@ def bl_plan(
 
     Args:
         problem: What to plan.
-        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
-            :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
-            estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
-            them, by both searches, which is much faster than a plain function, by which best-first search goes alone.
-            One that says it is a lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the
-            starts. A poor one, such as straight lines among walls, may well find
-            nothing. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the
-            best choice where a plan is all that is asked for.
+        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, a sum over robots, such as
+            :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`, never NaN. Both searches go by its terms
+            (``per_robot``). An infinite estimate prunes nothing, a negative one counts as 0. One that says it is a
+            lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the starts. A poor one,
+            such as straight lines among walls, may well find nothing. None: each robot's cost-to-go along its
+            lattice, alone, which takes no oracle and no PLR: the best choice where a plan is all that is asked for.
         options: How to search, and when to stop.
 
     Returns:
@@ -101,8 +99,8 @@ def bl_plan(
         which proves nothing about finer ones; a limit, or INTERRUPTED. All but the first with or without a path.
 
     Raises:
-        ValueError: If the heuristic is no function of joint configurations, or, where it is asked, returns NaN or
-            another shape than ``(n,)``; or if the options are no :class:`BLOptions`.
+        ValueError: If the heuristic is no sum over robots, or, where it is asked, returns NaN or another shape, or if
+            the options are no :class:`BLOptions`.
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
@@ -185,7 +183,7 @@ class Run:
                 self.offer(path, _SEQUENTIAL, math.inf)
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
-            cost = float(estimates(self.heuristic, self.problem.starts[None].copy())[0])
+            cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
         enough = (1 + _ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
@@ -195,7 +193,7 @@ class Run:
     def search_until_limit(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
         options, weight = self.options, self.options.heuristic_weight
-        step = options.step or first_step(self.problem, len(options.primitives), self._fits)
+        step = options.step or first_step(self.problem, self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
@@ -227,10 +225,10 @@ class Run:
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
                     return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
-                if fits and (level := self._level(step, may_halve=options.step is None and not running)):
-                    step = level.step
+                if fits and (joint := self._lattices(step, may_halve=options.step is None and not running)):
+                    step = joint.step
                     with suppress(TimeoutError):
-                        running.append(Searches(level, self.heuristic, weight, options, self.budget))
+                        running.append(Searches(joint, self.heuristic, weight, options, self.budget))
                         weight *= _GREEDIER
                     self.ends("heuristic")
                 for searches in reversed(running):
@@ -243,33 +241,35 @@ class Run:
                         searches.release()
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
-                        return status, searches.level.step
+                        return status, searches.joint.step
                 step /= _REFINEMENT
         finally:
             for searches in running:
                 searches.release()
 
-    def _level(self, step: float, may_halve: bool) -> "LatticeLevel | None":
+    def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
         """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up.
 
         Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried, as long
         as their lattices are small.
         """
-        problem, primitives = self.problem, self.options.primitives
-        straight, level = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
+        problem = self.problem
+        straight, joint = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
         try:
-            level = build_level(problem, self.test, step, primitives)
-            while level is not None and may_halve and (level.least_costs > _AROUND * straight).any():
-                half = level.step / 2
-                is_small = _work(problem, half, len(primitives)) <= _MOST_FIRST
-                if not is_small or self._needed(half) >= self.options.max_memory:
+            joint = build_lattices(problem, step, self.test)
+            if not np.isfinite(joint.least_costs).all():
+                joint = None
+            while joint is not None and may_halve and (joint.least_costs > _AROUND * straight).any():
+                half = joint.step / 2
+                if _work(problem, half) > _MOST_FIRST or self._needed(half) >= self.options.max_memory:
                     break
-                finer = build_level(problem, self.test, half, primitives)
-                if finer is None or finer.least_cost > (1 - _SHORTER) * level.least_cost:
+                finer = build_lattices(problem, half, self.test)
+                # One that a robot cannot reach its goal on costs infinitely much.
+                if not finer.least_costs.sum() <= (1 - _SHORTER) * joint.least_costs.sum():
                     break
-                level = finer
+                joint = finer
                 self._fits(half)
-            return level
+            return joint
         except TimeoutError:
             return None
         finally:
@@ -278,7 +278,7 @@ class Run:
     def _search_on(self, searches: "Searches") -> Status | None:
         """Let the searches on some lattices go on for a turn."""
         self.progress.set_postfix(
-            step=f"{searches.level.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
+            step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
         )
         try:
             status = searches.run(self.progress)
@@ -286,7 +286,7 @@ class Run:
             status = Status.TIME_LIMIT
         finally:
             self.ends("search")
-            self.samples = searches.level.joint.configurations(searches.state)
+            self.samples = searches.joint.configurations(searches.state)
         if status is Status.MEMORY_LIMIT:
             self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
         return status
@@ -308,21 +308,21 @@ class Run:
             if number == 2:  # a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
-            more = (searches.level.step / 2,) if number == 1 else ()
+            more = (searches.joint.step / 2,) if number == 1 else ()
             path = shortened(self.problem, path, self.test, *more)
             self.ends("shorten")
             self.offer(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
         """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
-        level, budget, (found_by, _) = searches.level, self.budget, searches.found
+        joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
-        rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
-        if budget.memory + num_bytes_of_table(level.kinds, len(rows)) >= budget.max_memory:
+        rows = np.concatenate([state, waiting])
+        if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
             return state
         table = None
         with suppress(TimeoutError):
-            table = ReservationTable(level.kinds, level.costs_to_go, rows, tolerance, budget)
+            table = ReservationTable(joint, rows, budget)
             # Whenever time is up from here on, the table's paths are free of collisions.
             replan_each(table)
             rng, gains = np.random.default_rng(0), True
@@ -340,11 +340,13 @@ class Run:
         path, factor = self._path(searches, table.state)
         self.offer(path, found_by, factor)
         table.held.release()
-        return until_arrival(table.state)
+        # Without the rows at its end in which all robots wait.
+        waits = np.all(table.state == table.state[-1], axis=1)
+        return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
         """The path of a state, and its cost over that of each robot's cheapest motions alone."""
-        path, least = searches.level.joint.configurations(state), searches.level.least_cost
+        path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             # A robot's goal is its start but for whole turns: the path begins with these.
             path = np.concatenate([self.problem.starts[None], path])
@@ -358,91 +360,28 @@ class Run:
         return needed < self.options.max_memory
 
     def _needed(self, step: float) -> float:
-        return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
-
-
-# The lattices of a team that have one step, and the costs along them.
+        return self.budget.memory + num_bytes(self.problem, step)
 
 
 _MOTION_BYTES = 92  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _TURNING = 4  # times as long as a round robot's motion one takes to test that turns
-_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
-_SECONDS = 3e-7  # about what an edge takes to be found, or a node to be reached, which cannot be cut short
 
 
-def until_arrival(state: State) -> State:
-    """A path without the rows at its end in which all robots wait."""
-    waits = np.all(state == state[-1], axis=1)
-    return state[: len(state) + 1 - np.append(waits[::-1], False).argmin()]
-
-
-@dataclass(frozen=True, eq=False)
-class LatticeLevel:
-    """The lattices of one step.
-
-    Args:
-        step: Side of their cells.
-        joint: The team on them.
-        kinds: Its robots by the tables that they share.
-        costs_to_go: Those of the robots of each kind, alone, along the lattices.
-        num_bytes: About what they take.
-    """
-
-    step: float
-    joint: JointLattice
-    kinds: Sequence[Kind]
-    costs_to_go: OfKinds
-    num_bytes: int
-
-    @property
-    def least_costs(self) -> Float[np.ndarray, "robots"]:
-        """What the cheapest motions of each robot cost if it is alone; ``inf`` if it cannot reach its goal."""
-        pairs = zip(by_robot(self.kinds, self.costs_to_go), self.joint.lattices, strict=True)
-        return np.array([cost_to_go[lattice.start] for cost_to_go, lattice in pairs])
-
-    @property
-    def least_cost(self) -> float:
-        """What they cost in all."""
-        return float(self.least_costs.sum())
-
-
-def build_level(
-    problem: Problem, test: JointMotionTest, step: float, primitives: Sequence[Primitive]
-) -> LatticeLevel | None:
-    """The lattices of a step, and costs along them; None if a robot cannot reach its goal on them.
-
-    Raises:
-        TimeoutError: If the deadline of the test passes first.
-    """
-    joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, test.deadline)), test)
-    kinds = kinds_of(joint)
-    costs = []
-    for kind in kinds:
-        num_nodes, num_robots = len(kind.table.q), len(kind.members)
-        size, parts = int(np.clip(_NODES // num_nodes, 1, _GOALS)), []
-        for begin in range(0, num_robots, size):
-            require_time(test.deadline, "the costs-to-go were known", _SECONDS * num_nodes)
-            parts.append(kind.costs_to_go(np.arange(begin, min(begin + size, num_robots))))
-        costs.append(np.concatenate(parts))
-    level = LatticeLevel(step, joint, kinds, costs, int(num_bytes(problem, step, len(primitives))))
-    return level if np.isfinite(level.least_cost) else None
-
-
-def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
+def num_bytes(problem: Problem, step: float) -> float:
     """About what the lattices of a step take if all is free, so that those too large are not begun."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
-        total += nodes * (_MOTION_BYTES * (1 + num_primitives) + _COLUMN_BYTES * count)
+        total += nodes * (_MOTION_BYTES * (1 + len(PRIMITIVES)) + _COLUMN_BYTES * count)
     return total
 
 
-def _work(problem: Problem, step: float, num_primitives: int) -> float:
+def _work(problem: Problem, step: float) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
-    return (1 + num_primitives) * sum(each)
+    return (1 + len(PRIMITIVES)) * sum(each)
 
 
 def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
@@ -458,13 +397,12 @@ _LONGER = 1.5  # growth of turns
 
 
 class Searches:
-    """LaCAM and best-first search, or one of them, on the lattices of a level.
+    """LaCAM and best-first search, or one of them, on lattices.
 
-    Both go by the heuristic if it has terms, and by the costs-to-go along the lattices if there is none. A heuristic
-    without terms leads best-first search, beside straight lines; LaCAM then goes by the costs-to-go.
+    Both go by the heuristic, and by the costs-to-go along the lattices if there is none.
 
     Args:
-        level: The lattices.
+        joint: The lattices.
         heuristic: As given to the planner.
         weight: Of the heuristic in best-first search.
         options: Those of the planner.
@@ -475,26 +413,23 @@ class Searches:
     """
 
     def __init__(
-        self, level: LatticeLevel, heuristic: Plain, weight: float, options: BLOptions, budget: SearchBudget
+        self,
+        joint: JointLattice,
+        heuristic: HeuristicFn | None,
+        weight: float,
+        options: BLOptions,
+        budget: SearchBudget,
     ):
-        self.level, self.weight, self.options, self.budget = level, weight, options, budget
+        self.joint, self.weight, self.options, self.budget = joint, weight, options, budget
         self.held = HeldMemory(budget)
-        num_nodes = sum(len(lattice.q) for lattice in level.joint.lattices)
-        self.held.add(level.num_bytes + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2))
-        self.plain: Plain = None
-        terms = by_robot(level.kinds, level.costs_to_go)
-        self.tables: Sequence[Float[np.ndarray, _]] = terms
-        if isinstance(heuristic, SeparableHeuristic):
-            self.tables = terms = tabulate(level.joint, heuristic, budget.deadline)
-        elif heuristic is not None:
-            problem = level.joint.problem
-            estimates(heuristic, problem.starts[None].copy())  # whether it is one
-            self.plain, self.tables = heuristic, tabulate(level.joint, straight_line(problem), budget.deadline)
+        num_nodes = sum(len(lattice.q) for lattice in joint.lattices)
+        self.held.add(
+            int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2)
+        )
+        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, budget.deadline)
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in options.searchers:
-            by_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in level.kinds]
-            moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance, budget.deadline)
-            self.running["lacam"] = LaCAM(level.joint, moves, budget)
+            self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), budget)
         self.turn = 1.0  # length of the next one, in first ones
 
     def run(self, bar: tqdm) -> Status | None:
@@ -506,20 +441,16 @@ class Searches:
         Raises:
             TimeoutError: If the deadline passes within a step.
         """
-        joint, budget, status = self.level.joint, self.budget, None
-        num_robots, finds_all = len(joint.lattices), "lacam" in self.running
+        budget, status = self.budget, None
+        num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
         if finds_all:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
         lacks_path = status is None and "bl" in self.options.searchers
         if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory):
             if "bl" not in self.running:
-                table = heuristic_table(joint, self.tables, self.weight, self.plain, budget.deadline)
-                self.running["bl"] = BestFirstSearch(joint, table, self.options, budget)
+                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
             status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
-            # Cells that are larger than a configuration may hide a path.
-            if status is Status.EXHAUSTED and self.options.cell_size is not None and finds_all:
-                status = None
         elif not finds_all:
             return Status.MEMORY_LIMIT
         self.turn *= _LONGER
@@ -538,16 +469,16 @@ class Searches:
     @property
     def state(self) -> State:
         """The nodes of the search that has more of them, or the starts before there is one."""
-        starts = np.array([[lattice.start for lattice in self.level.joint.lattices]])
+        starts = np.array([[lattice.start for lattice in self.joint.lattices]])
         return max((search.state for search in self.running.values()), key=len, default=starts)
 
     @property
     def num_bytes_needed(self) -> int:
         """What best-first search needs to begin, beside what is held."""
-        return 0 if "bl" in self.running else bytes_of_tables(self.level.joint)
+        return 0 if "bl" in self.running else bytes_of_tables(self.joint)
 
 
-def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bool] = lambda step: True) -> float:
+def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: True) -> float:
     """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
     # Cells about as large as the smallest robot, whose lattices have room for it to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
@@ -564,7 +495,7 @@ def first_step(problem: Problem, num_primitives: int, fits: Callable[[float], bo
     # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
     if len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
-    while step < _COARSEST * extent and (_work(problem, step, num_primitives) > _MOST_FIRST or not fits(step)):
+    while step < _COARSEST * extent and (_work(problem, step) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step
 

@@ -1,6 +1,5 @@
 """LaCAM: search over joint configurations one step apart, under constraints that grow, by PIBT's steps of a team."""
 
-import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,8 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._options import HeldMemory, SearchBudget
-from plr_jax.planners._solution import Status
-from plr_jax.planners.lattice import JointLattice, Kind, OfKinds, motions_with_ends
+from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners.lattice import JointLattice
 
 # What the robots of a team may do next from a joint configuration, and which of their motions collide.
 
@@ -22,7 +20,6 @@ Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
 JointNode: TypeAlias = Int[np.ndarray, "robots"]  # nodes of all robots
 Robots: TypeAlias = Int[np.ndarray, "m"]
 
-_WORD = 62  # bits of a NumPy integer that are safe to use
 _MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
 _FEW_PAIRS = 64  # tested as soon as looked up
 _ALIGNED = 1 / 16  # of the tolerance, within which a configuration counts as the center of a cell
@@ -47,47 +44,44 @@ class TeamMoves:
     """The moves of a team on its lattices, all robots scored at once by their heuristic, near ones tested at once.
 
     Args:
-        kinds: The robots.
-        heuristic: Estimated costs-to-go of each kind's robots, by node, ``inf`` where unknown.
-        tolerance: That of the workspace.
-        deadline: On the clock of ``time.perf_counter``; a call that passes it raises ``TimeoutError``.
+        joint: The team. A call past the deadline of its test raises ``TimeoutError``.
+        terms: Estimated costs-to-go of each robot, by node, ``inf`` where unknown.
     """
 
-    def __init__(self, kinds: Sequence[Kind], heuristic: OfKinds, tolerance: float, deadline: float = math.inf):
-        self.kinds, self.heuristic, self.tolerance, self.deadline = kinds, heuristic, tolerance, deadline
-        self.num_robots = sum(len(kind.members) for kind in kinds)
-        self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
-        for k, kind in enumerate(kinds):
-            self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
-            self.reach[kind.members] = kind.reach
-        self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
-        self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in kinds]
+    def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
+        self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)
+        self.tolerance, self.deadline = joint.problem.workspace.tolerance, joint.test.deadline
+        self.of_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in joint.kinds]
+        self.kind = np.array([joint.kinds.index(lattice.kind) for lattice in joint.lattices])
+        self.row = np.array([lattice.row for lattice in joint.lattices])
+        self.reach = np.array([lattice.kind.reach for lattice in joint.lattices])
+        self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
         """The moves from a joint configuration."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
-        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
+        for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
             node = state[kind.members]
-            target, cost = motions_with_ends(kind.table, kind.ends, node)
+            target, cost = kind.motions(node)
             score = np.where(np.isfinite(cost), estimate[np.arange(len(node))[:, None], target], np.inf)
             order = np.argsort(score, axis=1, kind="stable").tolist()
             num_free = np.isfinite(cost).sum(axis=1).tolist()
             for i, targets, best, count in zip(kind.members.tolist(), target.tolist(), order, num_free, strict=True):
                 child[i], ranked[i] = targets, best[:count]
-            places.append(kind.table.q[node])
-            ends.append(kind.table.q[target])
+            places.append(kind.q[node])
+            ends.append(kind.q[target])
             position[kind.members] = places[-1][:, :2]
             free.append(np.isfinite(cost))
         for a, b, i, j in self._near(position):
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
-                table, away = self.kinds[a].table, position[j] - position[i]
-                off = np.abs(ends[a] - places[a][:, None] - table.offset).max(
+                kind, away = self.kinds[a], position[j] - position[i]
+                off = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
                     axis=2, where=free[a][..., None], initial=0
                 )
                 aligned = (off < _ALIGNED * self.tolerance).all(axis=1)
-                cells = np.rint(away / table.side)
-                on_grid = (np.abs(away - cells * table.side) < _ALIGNED * self.tolerance).all(axis=1)
+                cells = np.rint(away / kind.side)
+                on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
                 on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
                 self._add_between_cells(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
                 i, j = i[~on_grid], j[~on_grid]
@@ -114,7 +108,7 @@ class TeamMoves:
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
-            apart, moves = (np.array(new) * kind.table.side)[:, None, None], kind.table.offset
+            apart, moves = (np.array(new) * kind.side)[:, None, None], kind.offset
             ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
             # What places and ends are off adds up to less than half the tolerance: 3/16 of it along each axis.
             collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
@@ -127,10 +121,7 @@ class TeamMoves:
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
         """The heuristic of each robot."""
-        values = np.empty(self.num_robots)
-        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
-            values[kind.members] = estimate[np.arange(len(kind.members)), state[kind.members]]
-        return values
+        return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
         """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
@@ -141,7 +132,7 @@ class TeamMoves:
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
-            size = max(1, _MOST // (self.kinds[a].table.child.shape[1] * self.kinds[b].table.child.shape[1]))
+            size = max(1, _MOST // (self.kinds[a].cost.shape[1] * self.kinds[b].cost.shape[1]))
             alike = np.flatnonzero(pairs == pair)
             for begin in range(0, len(alike), size):
                 some = alike[begin : begin + size]
@@ -150,10 +141,7 @@ class TeamMoves:
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
     """Rows of flags as sets."""
-    if flags.shape[2] <= _WORD:
-        return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
-    packed = np.packbits(flags, axis=2, bitorder="little")
-    return [[int.from_bytes(row, "little") for row in rows] for rows in packed]
+    return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
 # One step of a whole team: priority inheritance with backtracking (PIBT).

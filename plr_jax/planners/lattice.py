@@ -11,7 +11,6 @@ the goal.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -27,37 +26,22 @@ from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.planners._options import Primitive
 from plr_jax.robots.robot import Robot
 
-# Motions between configurations as tables: those that robots of one kind share, and each robot's view of them.
+# Motions of a robot besides staying, as offsets (columns, rows, turns) in cells: to the eight neighbors, and a turn
+# either way. Round robots leave out those that turn.
+_NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
+PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
 
+_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
+_SECONDS = 3e-7  # about what an edge takes to be found, or a node to be reached, which cannot be cut short
 
-@dataclass(frozen=True, eq=False)
-class MotionTable:
-    """Configurations of one kind of robot, and the motions between them.
-
-    The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own configuration at
-    infinite cost. The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which
-    no primitive leads. From the center of a cell whose side is ``side``, a primitive leads ``offset`` away.
-    """
-
-    q: Float[np.ndarray, "nodes dof"]
-    child: Int[np.ndarray, "nodes primitives"]
-    cost: Float[np.ndarray, "nodes primitives"]
-    num_cells: int
-    side: Float[np.ndarray, "dof"]
-    offset: Float[np.ndarray, "primitives dof"]
-    stride: float
-
-
-def _longest(begin: Float[np.ndarray, "*#n dof"], end: Float[np.ndarray, "*#n dof"]) -> float:
-    """Largest distance between positions, 0 if there is none."""
-    return float(np.hypot(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]).max(initial=0.0))
+State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint configurations, as indices into the robots' lattices
+Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
 
 
 class Ends(NamedTuple):
-    """The start and the goal of a robot, or of each of several, which stand for their cells.
+    """The starts and the goals of robots, which stand for their cells.
 
     Args:
         node: Their nodes.
@@ -67,131 +51,76 @@ class Ends(NamedTuple):
         cost: What these motions cost, ``inf`` where they are not free.
     """
 
-    node: Int[np.ndarray, "*robots 2"]
-    cell: Int[np.ndarray, "*robots 2"]
-    begin: Int[np.ndarray, "*robots 2 2 primitives"]
-    cost: Float[np.ndarray, "*robots 2 2 primitives"]
-
-
-OfKinds: TypeAlias = Sequence[Float[np.ndarray, "_ _"]]  # of each kind, a row of numbers a robot
-Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
-
-
-def motions_with_ends(table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]) -> Leads:
-    """Where the primitives of nodes lead one robot, or each its own of several, and what they cost.
-
-    Motions to a start or a goal take the place of those to its cell.
-    """
-    child, cost = table.child[node], table.cost[node]
-    enters = ends.begin == node[:, None, None, None]
-    row, *_, primitive = np.nonzero(enters)
-    entry = np.broadcast_to(ends.cost, enters.shape)[enters]
-    end = np.broadcast_to(ends.node[..., None, None], enters.shape)[enters]
-    child[row, primitive] = np.where(np.isfinite(entry), end, node[row])
-    cost[row, primitive] = entry
-    return child, cost
-
-
-class Lattice:
-    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells.
-
-    Attributes:
-        q: The configurations.
-        start, goal: The nodes of its ends.
-        num_primitives: Primitives, staying among them.
-    """
-
-    def __init__(self, table: MotionTable, ends: Ends):
-        self.table, self.ends, self.q, self.num_primitives = table, ends, table.q, table.child.shape[1]
-        self.start, self.goal = (int(node) for node in ends.node)
-
-    @cached_property
-    def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Where the primitives of all nodes lead."""
-        return self._motions[0]
-
-    @cached_property
-    def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """What the primitives of all nodes cost."""
-        return self._motions[1]
-
-    @cached_property
-    def _motions(self) -> Leads:
-        return motions_with_ends(self.table, self.ends, np.arange(len(self.q)))
-
-
-State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint configurations, as indices into the robots' lattices
-
-
-class JointLattice(NamedTuple):
-    """The robots of a problem, each on its lattice, and the team's motion test."""
-
-    problem: Problem
-    lattices: tuple[Lattice, ...]
-    test: JointMotionTest
-
-    def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Joint configurations; round robots in a team with others keep the heading of their start."""
-        q = np.repeat(self.problem.starts[None], len(state), axis=0)
-        for i, lattice in enumerate(self.lattices):
-            q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
-        return q
-
-    def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> State:
-        """Where joint primitives lead."""
-        columns = [lattice.child[s, p] for lattice, s, p in zip(self.lattices, state.T, primitive.T, strict=True)]
-        return np.stack(columns, axis=1)
-
-    def move_costs(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> Float[np.ndarray, "n"]:
-        """What joint primitives cost."""
-        columns = [lattice.cost[s, p] for lattice, s, p in zip(self.lattices, state.T, primitive.T, strict=True)]
-        return np.sum(columns, axis=0)
-
-    def collisions(
-        self, i: int, j: int, state: State
-    ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Rows in which two robots are near enough to meet, and there, which of their primitives collide."""
-        a, b = self.lattices[i], self.lattices[j]
-        robot_a, robot_b = self.problem.robots[i], self.problem.robots[j]
-        qa, qb = a.q[state[:, i]], b.q[state[:, j]]
-        reach = robot_a.circumscribed_radius + robot_b.circumscribed_radius + a.table.stride + b.table.stride
-        x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
-        near = np.flatnonzero(x * x + y * y < reach * reach)
-        motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
-        motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
-        return near, ~self.test.apart(i, *motions_a, j, *motions_b)
-
-
-# The motions of one kind of robot as edges of a graph, and costs along it.
+    node: Int[np.ndarray, "robots 2"]
+    cell: Int[np.ndarray, "robots 2"]
+    begin: Int[np.ndarray, "robots 2 2 primitives"]
+    cost: Float[np.ndarray, "robots 2 2 primitives"]
 
 
 class Kind:
-    """Robots of a team that share a table of motions, which are the edges of a graph.
+    """Robots of one kind: a table of motions that they share, and the same motions as edges of a graph.
+
+    The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which no primitive
+    of the table leads. The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its
+    own configuration at infinite cost.
 
     Edges that all robots share come first, staying among them, then those into the ends of each robot.
 
     Attributes:
         robot: The shape of the robots.
-        table: Their motions.
         members: Their indices in the team.
+        q: The configurations, ``(nodes, dof)``.
+        child, cost: Where the primitives of each node lead and what they cost, ``(nodes, primitives)``.
+        side: Sides of a cell, ``(dof,)``.
+        offset: How far each primitive leads from the center of a cell, ``(primitives, dof)``.
         ends: Their starts and goals.
-        begin, end, cost: Nodes and costs of each edge. One more, edge ``num_edges``, leads nowhere at infinite cost.
-        own: For each robot the edges into its start and its goal.
+        stride: The longest motion, in workspace units.
         reach: How far a robot's corners come from where a motion begins at most, in workspace units.
+        begin, end, edge_cost: Nodes and costs of each edge. One more, edge ``num_edges``, leads nowhere at infinite
+            cost.
+        own: For each robot the edges into its start and its goal.
     """
 
-    def __init__(self, robot: Robot, table: MotionTable, members: Int[np.ndarray, "robots"], ends: Ends):
-        self.robot, self.table, self.members, self.ends = robot, table, members, ends
-        self.num_nodes, self.reach = len(table.q), robot.circumscribed_radius + table.stride
-        leads = np.nonzero(np.isfinite(table.cost))
-        shared = leads[0], table.child[leads], table.cost[leads]
+    def __init__(
+        self,
+        robot: Robot,
+        members: Int[np.ndarray, "robots"],
+        q: Float[np.ndarray, "nodes dof"],
+        leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],
+        num_cells: int,
+        side: Float[np.ndarray, "dof"],
+        offset: Float[np.ndarray, "primitives dof"],
+        ends: Ends,
+    ):
+        self.robot, self.members, self.q, self.num_cells = robot, members, q, num_cells
+        (self.child, self.cost), self.side, self.offset, self.ends = leads, side, offset, ends
+        moves = np.nonzero(np.isfinite(self.cost))
+        shared = moves[0], self.child[moves], self.cost[moves]
         own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
         into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
-        self.begin, self.end, self.cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
-        self.num_shared, self.num_edges = len(leads[0]), len(self.begin) - 1
-        first = np.searchsorted(own[0], np.arange(1, len(members)))
-        self.own = np.split(np.arange(self.num_shared, self.num_edges), first)
+        self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
+        self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
+        self.own = np.split(
+            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(members)))
+        )
+        x, y = (q[self.end] - q[self.begin])[:, :2].T
+        self.stride = float(np.hypot(x, y).max())
+        self.reach = robot.circumscribed_radius + self.stride
+
+    def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
+        """Where the primitives of nodes lead one robot, or each its own of all, and what they cost.
+
+        Motions to a start or a goal take the place of those to its cell.
+        """
+        child, cost = self.child[node], self.cost[node]
+        enters = self.ends.begin[row] == node[:, None, None, None]
+        at, *_, primitive = np.nonzero(enters)
+        entry = np.broadcast_to(self.ends.cost[row], enters.shape)[enters]
+        end = np.broadcast_to(self.ends.node[row][..., None, None], enters.shape)[enters]
+        child[at, primitive] = np.where(np.isfinite(entry), end, node[at])
+        cost[at, primitive] = entry
+        return child, cost
 
     @cached_property
     def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
@@ -199,7 +128,7 @@ class Kind:
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = runs(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
-        into = np.full((size, self.num_nodes), self.num_edges)
+        into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order
         return into
 
@@ -215,14 +144,14 @@ class Kind:
     @cached_property
     def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
-        key = self.begin[:-1] * self.num_nodes + self.end[:-1]
-        order = np.lexsort((self.cost[:-1], key))
+        key = self.begin[:-1] * len(self.q) + self.end[:-1]
+        order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
     def along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
         """The edges along a path."""
         order, key = self._by_nodes
-        return order[np.searchsorted(key, nodes[:-1] * self.num_nodes + nodes[1:])]
+        return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
     def _cheapest(self) -> Int[np.ndarray, "m"]:
@@ -237,40 +166,112 @@ class Kind:
         That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
         """
         # Backward, each search begins at a node of its own, from which the edges into the goal lead.
-        goals, searches, shared = self.ends.node[rows, 1], np.arange(len(rows)), self._cheapest
+        num_nodes, goals, searches = len(self.q), self.ends.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.own[row]) for row in rows])
         own = np.concatenate([self.own[row] for row in rows])
         into_goal = self.end[own] == goals[search]
-        edge = np.append(shared, own[into_goal])
-        begin = np.append(self.end[shared], self.num_nodes + search[into_goal])
-        graph = csr_array((self.cost[edge], (begin, self.begin[edge])), shape=(self.num_nodes + len(rows),) * 2)
-        costs = sparse_graphs.dijkstra(graph, indices=self.num_nodes + searches)[:, : self.num_nodes]
+        edge = np.append(self._cheapest, own[into_goal])
+        begin = np.append(self.end[self._cheapest], num_nodes + search[into_goal])
+        graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
+        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
         """Cost of the cheapest motions from the start of one robot to each node but its goal, likewise."""
         edge = self._cheapest
-        graph = csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
+        graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
         return sparse_graphs.dijkstra(graph, indices=self.ends.node[row, 0])
 
 
-def kinds_of(joint: JointLattice) -> list[Kind]:
-    """The robots of a team by the tables that they share, in the order of their first ones."""
-    kinds = []
-    for table in {id(lattice.table): lattice.table for lattice in joint.lattices}.values():
-        alike = [i for i, lattice in enumerate(joint.lattices) if lattice.table is table]
-        ends = Ends(*map(np.stack, zip(*(joint.lattices[i].ends for i in alike), strict=True)))
-        kinds.append(Kind(joint.problem.robots[alike[0]], table, np.array(alike), ends))
-    return kinds
+class Lattice:
+    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells.
+
+    Attributes:
+        kind: The kind of robot.
+        row: Which robot of its kind it is.
+        q: The configurations.
+        start, goal: The nodes of its ends.
+    """
+
+    def __init__(self, kind: Kind, row: int):
+        self.kind, self.row, self.q = kind, row, kind.q
+        self.start, self.goal = kind.ends.node[row].tolist()
+
+    @cached_property
+    def _motions(self) -> Leads:
+        return self.kind.motions(np.arange(len(self.q)), self.row)
+
+    @property
+    def child(self) -> Int[np.ndarray, "nodes primitives"]:
+        """Where the primitives of all nodes lead."""
+        return self._motions[0]
+
+    @property
+    def cost(self) -> Float[np.ndarray, "nodes primitives"]:
+        """What the primitives of all nodes cost."""
+        return self._motions[1]
 
 
-def by_robot(kinds: Sequence[Kind], values: OfKinds) -> list[Float[np.ndarray, "_"]]:
-    """What is known of each kind's robots, as rows in the order of the team."""
-    order = np.argsort(np.concatenate([kind.members for kind in kinds]))
-    rows = [row for of_kind in values for row in of_kind]
-    return [rows[i] for i in order]
+@dataclass(frozen=True, eq=False)
+class JointLattice:
+    """The robots of a problem, each on its lattice, by kinds, and the team's motion test."""
 
+    problem: Problem
+    step: float
+    kinds: list[Kind]
+    lattices: list[Lattice]
+    test: JointMotionTest
+
+    @cached_property
+    def costs_to_go(self) -> list[Float[np.ndarray, "_"]]:
+        """Cost of each robot's cheapest motions from each node to its goal, alone; ``inf`` where there are none.
+
+        ``TimeoutError`` if the deadline of the test passes first.
+        """
+        costs = {}
+        for kind in self.kinds:
+            num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
+            for begin in range(0, num_robots, size):
+                require_time(self.test.deadline, "the costs-to-go were known", _SECONDS * len(kind.q))
+                rows = np.arange(begin, min(begin + size, num_robots))
+                costs.update(zip(kind.members[rows].tolist(), kind.costs_to_go(rows), strict=True))
+        return [costs[i] for i in range(len(self.lattices))]
+
+    @property
+    def least_costs(self) -> Float[np.ndarray, "robots"]:
+        """What the cheapest motions of each robot cost if it is alone; ``inf`` if it cannot reach its goal."""
+        return np.array(
+            [costs[lattice.start] for costs, lattice in zip(self.costs_to_go, self.lattices, strict=True)]
+        )
+
+    def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
+        """Joint configurations; round robots in a team with others keep the heading of their start."""
+        q = np.repeat(self.problem.starts[None], len(state), axis=0)
+        for i, lattice in enumerate(self.lattices):
+            q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
+        return q
+
+    def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
+        """Where joint primitives lead, and what they cost."""
+        columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
+        child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
+        return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
+
+    def collisions(
+        self, i: int, j: int, state: State
+    ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
+        """Rows in which two robots are near enough to meet, and there, which of their primitives collide."""
+        a, b = self.lattices[i], self.lattices[j]
+        qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
+        x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
+        near = np.flatnonzero(x * x + y * y < reach * reach)
+        motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
+        motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
+        return near, ~self.test.apart(i, *motions_a, j, *motions_b)
+
+
+# How the tables are built.
 
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
@@ -278,45 +279,17 @@ _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot that are kept for the next problem
 _CHUNK = 1 << 12  # cells at a time, between two looks at the clock
 
-
-# How the tables are built.
-
 Cells: TypeAlias = Int[np.ndarray, "n"]
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
-class Grid(NamedTuple):
-    """Equal cells over a robot's configuration space."""
+class Motions(NamedTuple):
+    """A grid of equal cells over a robot's configuration space, their representatives, and motions between these."""
 
     lo: Float[np.ndarray, "dof"]
     shape: tuple[int, ...]
     side: Float[np.ndarray, "dof"]
-
-    def cells_of(self, q: Float[np.ndarray, "n dof"]) -> Int[np.ndarray, "n"]:
-        """The cells of configurations, the nearest ones outside."""
-        index, size = np.floor((q - self.lo) / self.side).astype(np.intp), np.array(self.shape)
-        index[:, 2:] %= size[2:]
-        return np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
-
-    def centers(self) -> Float[np.ndarray, "cells dof"]:
-        """Centers of all cells."""
-        axes = [lo + (np.arange(n) + 0.5) * side for lo, n, side in zip(*self, strict=True)]
-        return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-
-    def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """The cells some offsets away, and whether they exist."""
-        target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
-        target[..., 2:] %= np.array(self.shape)[2:]
-        exists = ((target >= 0) & (target < self.shape)).all(axis=2)
-        cell = np.ravel_multi_index(tuple(np.moveaxis(target, 2, 0)), self.shape, mode="clip")
-        return np.asarray(cell), np.asarray(exists)
-
-
-class Motions(NamedTuple):
-    """Representatives of a grid's cells, and the motions between them."""
-
-    grid: Grid
     offsets: Int[np.ndarray, "primitives dof"]
     test: MotionTest
     rotation_weight: float
@@ -325,10 +298,16 @@ class Motions(NamedTuple):
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
-    def with_ends(self, starts: Configurations, goals: Configurations) -> list[Lattice]:
-        """The lattices of robots of this kind."""
+    def with_ends(
+        self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
+    ) -> Kind:
+        """Robots of this kind, with their starts and goals."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
-        cells, differ = self.grid.cells_of(ends), straight_costs(starts, goals, 1.0) > 0
+        # The cells of ends, the nearest ones outside.
+        index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
+        index[:, 2:] %= size[2:]
+        cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
+        differ = straight_costs(starts, goals, 1.0) > 0
         motions, (occupied, first) = self, np.unique(cells, return_index=True)
         # 1. Ends represent their cells where nothing else does. The opposite of an offset may be no primitive: test
         # all motions that begin or end in these cells.
@@ -337,8 +316,8 @@ class Motions(NamedTuple):
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
             new = occupied[missing]
             motions.q[new], motions.free[new] = ends[first[missing]], True
-            around, exists = self.grid.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
-            motions.connect(np.unique(around[exists]))
+            around, leads = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
+            motions.connect(np.union1d(new, around[leads]))
         # 2. One more primitive leads from a start to a goal in its cell, and back.
         if (differ & (cells[:num_robots] == cells[num_robots:])).any():
             motions = motions._replace(
@@ -350,8 +329,8 @@ class Motions(NamedTuple):
         free, offsets = motions.free, motions.offsets
         nodes, num_cells = np.cumsum(free) - 1, int(free.sum())
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
-        target, leads = motions._neighbors(cells, offsets)
-        cost = motions._costs(leads, ends[:, None], motions.q[target])
+        target, leads = motions.neighbors(cells, offsets)
+        cost = motions.costs(leads, ends[:, None], motions.q[target])
         away = np.where(np.isfinite(cost), nodes[target], num_cells + np.arange(len(ends))[:, None])
         cost[:, 0] = 0.0
         q, cost = np.concatenate([motions.q[free], ends]), np.concatenate([motions.cost[free], cost])
@@ -361,33 +340,28 @@ class Motions(NamedTuple):
         end_nodes[:num_robots][~differ] += num_robots
         others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
         same_cell = cells == others_cells
-        by, enters = motions._neighbors(cells, -offsets)
+        by, enters = motions.neighbors(cells, -offsets)
         crosses = enters & (by == others_cells[:, None])
         crosses[:, -1] |= same_cell & (end_nodes != others_nodes)
-        into = motions._costs(enters, motions.q[by], ends[:, None])
-        across = motions._costs(crosses, others[:, None], ends[:, None])
+        into = motions.costs(enters, motions.q[by], ends[:, None])
+        across = motions.costs(crosses, others[:, None], ends[:, None])
         # Into the cell of both, motions lead to the goal, and to the start only where the way to the goal is blocked.
         to_goal = np.isfinite(into[num_robots:])
         enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
         begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
         all_ends = Ends(*(np.stack(np.split(column, 2), axis=1) for column in columns))
-        leads = (all_ends.begin >= 0) & np.isfinite(all_ends.cost)
-        stride = max(
-            _longest(q[:, None], q[child]),
-            _longest(
-                q[all_ends.begin[leads]], q[np.broadcast_to(all_ends.node[..., None, None], leads.shape)[leads]]
-            ),
-        )
-        table = MotionTable(q, child, cost, num_cells, motions.grid.side, offsets * motions.grid.side, stride)
-        return [Lattice(table, Ends(*of_robot)) for of_robot in zip(*all_ends, strict=True)]
+        return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
-    def _neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
+    def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """The cells some offsets away, and whether they are others that have a representative."""
-        target, exists = self.grid.neighbors(cells, offsets)
-        return target, exists & self.free[target] & (target != cells[:, None])
+        target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
+        target[..., 2:] %= np.array(self.shape)[2:]
+        exists = ((target >= 0) & (target < self.shape)).all(axis=2)
+        cell = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(target, 2, 0)), self.shape, mode="clip"))
+        return cell, exists & self.free[cell] & (cell != cells[:, None])
 
-    def _costs(
+    def costs(
         self,
         possible: Bool[np.ndarray, "n primitives"],
         begin: Float[np.ndarray, "n #primitives dof"],
@@ -403,8 +377,8 @@ class Motions(NamedTuple):
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
         """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
-        child, leads = self._neighbors(cells, self.offsets)
-        cost = self._costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
+        child, leads = self.neighbors(cells, self.offsets)
+        cost = self.costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -415,46 +389,33 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
-def build_lattices(
-    problem: Problem, step: float, primitives: Sequence[Primitive], deadline: float = math.inf
-) -> list[Lattice]:
-    """The lattice of every robot.
+def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
+    """The lattices of all robots.
 
     Robots of one kind share their motions, which are kept for the next problem in the same workspace unless they are
     many. Cells are at most ``step`` wide; turning by one takes a robot's corners as far. Robots without a heading
     have no turns.
 
     Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+        TimeoutError: If the deadline of the test passes first.
     """
-    kinds, lattices = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), {}
-    for robot, weight in dict.fromkeys(kinds):
-        alike = [i for i, kind in enumerate(kinds) if kind == (robot, weight)]
-        starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
-        motions = motions_of(problem.workspace, robot, weight, step, primitives, deadline)
-        lattices.update(zip(alike, motions.with_ends(starts, goals), strict=True))
-    return [lattices[i] for i in range(len(problem.robots))]
+    each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
+    for robot, weight in dict.fromkeys(each):
+        members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
+        starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
+        motions = motions_of(problem.workspace, robot, weight, step, test.deadline)
+        kinds.append(motions.with_ends(robot, members, starts, goals))
+    lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
+    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(each))], test)
 
 
-def motions_of(
-    workspace: Workspace,
-    robot: Robot,
-    weight: float,
-    step: float,
-    primitives: Sequence[Primitive],
-    deadline: float = math.inf,
-) -> Motions:
+def motions_of(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> Motions:
     """The motions of a kind of robot, as :func:`build_lattices` has them, without starts and goals."""
-    primitives = tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
-    is_small = num_configurations(workspace, robot, step) * (1 + len(primitives)) <= _MOST_KEPT
-    return (_motions_kept if is_small else _motions)(
-        workspace, robot, weight, step, primitives, Indifferent(deadline)
-    )
+    is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
+    return (_motions_kept if is_small else _motions)(workspace, robot, weight, step, Indifferent(deadline))
 
 
-def _motions(
-    workspace: Workspace, robot: Robot, weight: float, step: float, primitives: tuple[Primitive, ...], deadline: float
-) -> Motions:
+def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> Motions:
     # Cells no larger than a step; headings are centered on the axes, along which hallways lie most often.
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
@@ -464,16 +425,13 @@ def _motions(
         quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
         shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
         lo = np.append(lo, -side[2] / 2)
-    grid = Grid(lo, tuple(shape.tolist()), side)
-    test, dof, q, num_positions = (
-        motion_test(workspace, robot, deadline),
-        len(shape),
-        grid.centers(),
-        shape[0] * shape[1],
-    )
-    offsets = np.array([(0, 0, 0), *(p for p in primitives if dof == 3 or p[2] == 0)])[:, :dof]
+    test, dof, num_positions = motion_test(workspace, robot, deadline), len(shape), shape[0] * shape[1]
+    axes = [first + (np.arange(n) + 0.5) * width for first, n, width in zip(lo, shape, side, strict=True)]
+    q = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    offsets = np.array([(0, 0, 0), *(p for p in PRIMITIVES if dof == 3 or p[2] == 0)])[:, :dof]
     child, per_position = np.empty((len(q), len(offsets)), dtype=np.intp), len(q) // num_positions
-    motions = Motions(grid, offsets, test, weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape))
+    free, cost = np.empty(len(q), dtype=bool), np.empty(child.shape)
+    motions = Motions(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
     # 1. Find a configuration of each cell: of blocked ones a sample, if the robot could fit anywhere in the cell.

@@ -6,17 +6,16 @@ References:
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import run_members
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._options import HeldMemory, SearchBudget
-from plr_jax.planners.lattice import Kind, OfKinds, State
+from plr_jax.planners._solution import HeldMemory, SearchBudget
+from plr_jax.planners.lattice import JointLattice, State
 
 _CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
 _ENTRY_BYTES = 200  # what an edge takes whose collisions are kept, besides the edges that collide with it
@@ -44,23 +43,28 @@ class ReservationTable:
         TimeoutError: If time or memory is spent before all paths are reserved.
     """
 
-    def __init__(
-        self, kinds: Sequence[Kind], costs_to_go: OfKinds, state: State, tolerance: float, budget: SearchBudget
-    ):
-        self.kinds, self.costs_to_go, self.state, self.budget = kinds, costs_to_go, state.copy(), budget
-        self.tolerance, self.held = tolerance, HeldMemory(budget)
-        self.held.add(num_bytes_of_table(kinds, len(state)))
-        self._costs_to_come: dict[int, Float[np.ndarray, _]] = {}
-        pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
+    def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
+        self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
+        self.held = HeldMemory(budget)
+        self.held.add(num_bytes_of_table(joint, len(state)))
+        self._costs_to_come: dict[int, np.ndarray] = {}
+        pairs = [(a, b) for a in range(len(self.kinds)) for b in range(len(self.kinds))]
         self._known: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
         self._chunk = dict.fromkeys(pairs, 1)
-        self.place = {int(i): (k, row) for k, kind in enumerate(kinds) for row, i in enumerate(kind.members)}
+        self.place = {int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)}
         size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
-        self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in kinds]
-        self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
-        for i, (k, row) in self.place.items():
-            self.least[i] = costs_to_go[k][row, kinds[k].ends.node[row, 0]]
-            self.cost[i] = kinds[k].cost[kinds[k].along(self.state[:, i])].sum()
+        self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
+        # Of each kind the places of its nodes, and its edges by the node where they begin.
+        self._near: list[tuple[KDTree, Edges, Edges]] = []
+        for kind in self.kinds:
+            begin = kind.begin[: kind.num_edges]
+            order = np.argsort(begin, kind="stable")
+            first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
+            self._near.append((KDTree(kind.q[:, :2]), order, first))
+        self.cost, self.least = np.zeros(state.shape[1]), joint.least_costs
+        for i, (k, _) in self.place.items():
+            kind = self.kinds[k]
+            self.cost[i] = kind.edge_cost[kind.along(self.state[:, i])].sum()
         try:
             for i in self.place:
                 self.reserve(i)
@@ -94,32 +98,23 @@ class ReservationTable:
             if self.budget.spent():
                 raise TimeoutError("Time or memory was spent before all collisions were found.")
             part, missing = np.split(missing, [self._chunk[a, b]])
-            begin, end = ours.table.q[ours.begin[part]], ours.table.q[ours.end[part]]
+            begin, end = ours.q[ours.begin[part]], ours.q[ours.end[part]]
             near = tree.query_ball_point(begin[:, :2], ours.reach + others.reach)
             row = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
             index, at = run_members(first, np.concatenate(near).astype(int))
             row, edge = row[at], order[index]
             self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
-            motions = others.table.q[others.begin[edge]], others.table.q[others.end[edge]]
+            motions = others.q[others.begin[edge]], others.q[others.end[edge]]
             apart = motions_apart(
-                *(ours.robot, begin[row], end[row], others.robot, *motions), self.tolerance, self.budget.deadline
+                *(ours.robot, begin[row], end[row], others.robot, *motions),
+                self.joint.problem.workspace.tolerance,
+                self.budget.deadline,
             )
             row, edge = row[~apart], edge[~apart].astype(np.int32)
             found = [each.copy() for each in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
             known.update(zip(part.tolist(), found, strict=True))
             self.held.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
         return [known[edge] for edge in edges.tolist()]
-
-    @cached_property
-    def _near(self) -> list[tuple[KDTree, Edges, Int[np.ndarray, "nodes_and_1"]]]:
-        """Of each kind the places of its nodes, and its edges by the node where they begin."""
-        found = []
-        for kind in self.kinds:
-            begin = kind.begin[: kind.num_edges]
-            order = np.argsort(begin, kind="stable")
-            first = np.searchsorted(begin[order], np.arange(len(kind.table.q) + 1))
-            found.append((KDTree(kind.table.q[:, :2]), order, first))
-        return found
 
     def replan(self, i: int, most: float) -> bool:
         """Give a robot whose path is released its cheapest one among the others; whether that costs at most ``most``.
@@ -132,13 +127,13 @@ class ReservationTable:
         if i not in self._costs_to_come:
             self._costs_to_come[i] = kind.costs_to_come(row)
             self.held.add(self._costs_to_come[i].nbytes)
-        least = self._costs_to_come[i] + self.costs_to_go[k][row]
+        least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0
         nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
         index = np.full(len(least), len(nodes))
         index[nodes] = np.arange(len(nodes))
         into = kind.into_nodes(row)[:, nodes]
-        begin, cost = index[kind.begin[into]], kind.cost[into]
+        begin, cost = index[kind.begin[into]], kind.edge_cost[into]
         # Cost-to-come by step and node; the last column stands for all nodes that lead nowhere cheap.
         reached = np.full((len(self.state), len(nodes) + 1), np.inf)
         reached[0, index[start]] = 0.0
@@ -158,10 +153,10 @@ class ReservationTable:
         return True
 
 
-def num_bytes_of_table(kinds: Sequence[Kind], num_rows: int) -> int:
+def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
     """About what a table of reservations takes, without the collisions."""
-    num_edges = sum(kind.num_edges for kind in kinds)
-    num_nodes = max(len(kind.table.q) for kind in kinds)
+    num_edges = sum(kind.num_edges for kind in joint.kinds)
+    num_nodes = max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
@@ -214,7 +209,7 @@ def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Gen
         if table.budget.spent() or loss.sum() <= _ROUNDING * table.least.sum():
             return
         i = int(rng.choice(len(loss), p=loss / loss.sum()))
-        places = [table.kinds[table.place[j][0]].table.q[table.state[:, j], :2] for j in range(len(loss))]
+        places = [lattice.q[at, :2] for lattice, at in zip(table.joint.lattices, table.state.T, strict=True)]
         gap = np.array([np.hypot(*(place - places[i]).T).min() for place in places]) * rng.uniform(1, 2, len(loss))
         neighborhood = np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]
         replan_together(table, rng.permutation(neighborhood).tolist())

@@ -6,8 +6,6 @@ rows as it needs at that speed. So robots need not move in step with one another
 
 import heapq
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +15,6 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import require_time, runs
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, Traffic, circles
-from plr_jax.planners._options import Primitive
 from plr_jax.planners.lattice import Lattice, motions_of
 from plr_jax.robots.robot import between
 
@@ -146,38 +143,8 @@ _ROOM = 4  # radii from walls at which a robot that rests leaves room for anothe
 _AHEAD = 32  # waypoints that a straight way leaves out at most
 
 
-class LoneRobot:
-    """One robot on its lattice, whose motions cost as many rows as they take.
-
-    Args:
-        timetable: The team, where it stands, and until when motions are to be found.
-        index: Which robot of the team it is.
-        step: Of its lattice.
-        primitives: Likewise.
-
-    Attributes:
-        length: Of a row, in units of cost.
-        rows_to_go: Rows from each node to the goal, if the robot is alone; ``inf`` where there is no way.
-    """
-
-    def __init__(self, timetable: Timetable, index: int, step: float, primitives: Sequence[Primitive]):
-        problem, robot = timetable.problem, timetable.problem.robots[index]
-        self.index, self.length, self.weight = index, step / ROWS_PER_STEP, float(problem.rotation_weights[index])
-        deadline = timetable.test.deadline
-        motions = motions_of(problem.workspace, robot, self.weight, step, primitives, deadline)
-        start, goal = timetable.path[:1, index, : robot.dof], problem.goals[[index], : robot.dof]
-        lattice = motions.with_ends(start, goal)[0]
-        table = replace(lattice.table, cost=_rows(lattice.table.cost, self.length))
-        self.lattice = Lattice(table, lattice.ends._replace(cost=_rows(lattice.ends.cost, self.length)))
-        child, cost = self.lattice.child, self.lattice.cost
-        leads = np.isfinite(cost)
-        first = np.append(0, np.cumsum(leads.sum(axis=1)))
-        graph = csr_array((cost[leads], child[leads], first), shape=(len(child), len(child)))
-        self.rows_to_go = dijkstra(graph.T, indices=self.lattice.goal)
-
-
 def plan_through_time(
-    timetable: Timetable, robot: LoneRobot, rest: float | int, most: int
+    timetable: Timetable, i: int, step: float, rest: float | int, most: int
 ) -> tuple[Motion | None, bool]:
     """The motion that brings a robot to its goal soonest among the others, and whether it does.
 
@@ -185,8 +152,9 @@ def plan_through_time(
     is nearest to the goal of all places that were reached.
 
     Args:
-        timetable: The others.
-        robot: The robot; where it stands is row 0.
+        timetable: The others. Where the robot stands there is row 0.
+        i: The robot.
+        step: Of its lattice. A row takes it by so much over :data:`ROWS_PER_STEP`, in units of cost.
         rest: Rows for which it has to be free to stay where it ends, ``inf`` for good.
         most: States to be expanded before it goes but part of its way.
 
@@ -196,8 +164,17 @@ def plan_through_time(
     Raises:
         TimeoutError: If the deadline of the timetable's tests passes first.
     """
-    lattice, i, to_go = robot.lattice, robot.index, robot.rows_to_go
-    child, duration, q = lattice.child, lattice.cost.copy(), lattice.q
+    problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
+    length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
+    # 1. Rows that each motion takes, and from each node to the goal if the robot is alone.
+    start, goal = timetable.path[:1, i, : robot.dof], problem.goals[[i], : robot.dof]
+    motions = motions_of(problem.workspace, robot, weight, step, deadline)
+    lattice = Lattice(motions.with_ends(robot, np.zeros(1, int), start, goal), 0)
+    child, duration, q = lattice.child, _rows(lattice.cost, length), lattice.q
+    leads = np.isfinite(duration)
+    first = np.append(0, np.cumsum(leads.sum(axis=1)))
+    graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
+    to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
     free = timetable.free_from(i, q[lattice.goal], rest)
 
@@ -206,14 +183,14 @@ def plan_through_time(
         there = row + to_go[node]
         return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
 
-    start = np.array([lattice.start])
+    # 2. A* over nodes and rows.
     nodes, rows, parents = [lattice.start], [0], [-1]
-    waiting = [(float(soonest(start, np.zeros(1))[0]), to_go[lattice.start], 0)]
+    waiting = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
     if lattice.start == lattice.goal and free[0] == 0:
         best, arrived = 0, 0
     while waiting and waiting[0][0] < best and num_expanded < most:
-        require_time(timetable.test.deadline, "a robot was planned")
+        require_time(deadline, "a robot was planned")
         some = [heapq.heappop(waiting)[2] for _ in range(min(len(waiting), _BATCH))]
         num_expanded += len(some)
         begin, row = np.array([nodes[k] for k in some]), np.array([rows[k] for k in some])
@@ -233,43 +210,40 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    found = arrived if arrived >= 0 else _nearest_rest(timetable, robot, np.array(nodes), np.array(rows), rest)
+    # 3. Where the robot does not arrive: the state nearest to the goal at which it may rest, away from walls if it
+    # can, as others have to pass.
+    found = arrived if arrived >= 0 else None
+    at, when = np.array(nodes), np.array(rows)
     if found is None:
-        return None, False
+        is_narrow = problem.workspace.clearance(q[at, :2]) < _ROOM * robot.circumscribed_radius
+        order = np.lexsort((to_go[at], is_narrow))
+        for begin in range(0, len(order), _BATCH):
+            some = order[begin : begin + _BATCH]
+            count = np.full(len(some), int(min(rest, len(timetable.path))))
+            may_rest = timetable.fits(i, q[at[some]], q[at[some]], when[some], count)
+            if may_rest.any():
+                found = int(some[may_rest.argmax()])
+                break
+        else:
+            return None, False
     way = [found]
     while parents[way[-1]] >= 0:
         way.append(parents[way[-1]])
     way.reverse()
-    return _straightened(timetable, robot, q[np.array(nodes)[way]], np.array(rows)[way]), arrived >= 0
+    return _straightened(timetable, i, weight, length, q[at[way]], when[way]), arrived >= 0
 
 
-def _nearest_rest(timetable: Timetable, robot: LoneRobot, nodes: Rows, rows: Rows, rest: float | int) -> int | None:
-    """The state nearest to the goal at which a robot may rest, away from walls if it can, as others have to pass."""
-    q = robot.lattice.q
-    size = timetable.problem.robots[robot.index].circumscribed_radius
-    is_narrow = timetable.problem.workspace.clearance(q[nodes, :2]) < _ROOM * size
-    order = np.lexsort((robot.rows_to_go[nodes], is_narrow))
-    count = int(min(rest, len(timetable.path)))
-    for begin in range(0, len(order), _BATCH):
-        some = order[begin : begin + _BATCH]
-        at = q[nodes[some]]
-        free = timetable.fits(robot.index, at, at, rows[some], np.full(len(some), count))
-        if free.any():
-            return int(some[free.argmax()])
-    return None
-
-
-def _straightened(timetable: Timetable, robot: LoneRobot, q: Configurations, row: Rows) -> Motion:
+def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
     """The motion along some waypoints, reached at some rows, that goes straight and sets out early where it may.
 
     A waypoint is reached no later than it was, and the robot may wait there until then.
     """
-    i, walls, deadline = robot.index, timetable.test.of_walls[robot.index], timetable.test.deadline
+    walls, deadline = timetable.test.of_walls[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:
         ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
         begin = np.repeat(q[[at]], len(ahead), axis=0)
-        count = _rows(straight_costs(begin, q[ahead], robot.weight), robot.length).astype(int)
+        count = _rows(straight_costs(begin, q[ahead], weight), length).astype(int)
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]

@@ -1,43 +1,59 @@
+"""Best-first search: its children and its nodes by the book, an empty frontier against all reachable states."""
+
 import heapq
+from itertools import product
 
 import networkx as nx
 import numpy as np
 import pytest
 import shapely
 from planner_helpers import (
-    FOUR_NEIGHBORS,
+    MIXED,
     ROOM,
+    TIGHT,
+    TIGHT_TEAM,
+    apart,
     exact,
     graph_of,
     hallway,
-    heuristic_table,
     joint_lattice_of,
     reachable,
     search_budget,
 )
 
-from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, scenes, validate
-from plr_jax.planners import BLOptions, Status, straight_line, zero
-from plr_jax.planners._options import PRIMITIVES
-from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, claimed_cells
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, scenes, validate
+from plr_jax.planners import BLOptions, Status, best_first, straight_line, zero
+from plr_jax.planners.best_first import BestFirstSearch, best_successors, bytes_of_tables, tabulate
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
 LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])
 CELL = Problem(Workspace(((0, 0), (3, 2))), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (2.5, 1.5)], [(2.5, 1.5), (0.5, 0.5)])
 ENDS = [(0.5, 0.5), (1.5, 0.5), (2.5, 1.5)]
 THREE = Problem(CELL.workspace, [DiscRobot(0.4)] * 3, ENDS, ENDS[::-1])
-MIXED = Problem(
+PAIR = Problem(
     Workspace(((0, 0), (2, 2))),
     [DiscRobot(0.3), RectangleRobot(0.8, 0.3)],
     [(0.5, 0.5, 1), (1.5, 1.5, 0)],
     [(1.5, 1.5, 1), (0.5, 0.5, 0)],
 )
+DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
+DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
 
 
-def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, limits=None, **options):
-    joint = joint_lattice_of(problem, step, primitives)
-    estimate = heuristic_table(joint, heuristic or straight_line(problem), weight)
-    return BestFirstSearch(joint, estimate, BLOptions(**{"batch": 1, **options}), limits or search_budget())
+class Separable:
+    """A heuristic of some terms."""
+
+    def __init__(self, terms):
+        self.per_robot = terms
+
+    def __call__(self, q):
+        return self.per_robot(q).sum(axis=1)
+
+
+def search_of(problem, step, heuristic=None, weight=1.0, limits=None):
+    joint = joint_lattice_of(problem, step)
+    terms = tabulate(joint, heuristic or straight_line(problem))
+    return BestFirstSearch(joint, terms, weight, limits or search_budget())
 
 
 def run_on(search):
@@ -49,11 +65,129 @@ def run_on(search):
     return status
 
 
-def nodes_by_the_book(lattice, table, weight):
+# Children
+
+
+def free_states(joint, num, seed):
+    """Random joint configurations in which no two robots overlap, some of them close together."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < num:
+        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
+        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
+            found.append(state[0])
+    return np.array(found, dtype=np.int32)
+
+
+def all_children(joint, terms, state):
+    """Every joint primitive of one state that collides with nothing, and its score."""
+    primitive = np.array(list(product(*(range(term.shape[1]) for term in terms))), dtype=np.uint8)
+    score = sum(term[state[i], primitive[:, i]].astype(float) for i, term in enumerate(terms))
+    valid = np.isfinite(score)
+    valid[valid] = apart(joint, np.repeat(state[None], valid.sum(), axis=0), primitive[valid])
+    return {tuple(p): s for p, s in zip(primitive[valid].tolist(), score[valid].tolist(), strict=True)}
+
+
+@pytest.mark.parametrize(
+    ("problem", "step", "width"),
+    [(TIGHT_TEAM, 1.0, 10_000), (DISCS, 0.5, 100), *((TIGHT_TEAM, 1.0, width) for width in (1, 7, 100))],
+)
+def test_children_are_those_that_collide_with_nothing_the_best_where_they_are_cut(problem, step, width):
+    search = search_of(problem, step, weight=2.0)
+    joint, terms, state = search.joint, search.scores, free_states(search.joint, 12, seed=3)
+    sizes = np.cumprod([term.shape[1] for term in terms])
+    children = best_successors(joint, terms, state, width)
+    assert children.score.shape[1] == min(width, sizes[-1])
+    num_valid = 0
+    for row in range(len(state)):
+        known = np.isfinite(children.score[row])
+        keys = [tuple(p) for p in children.primitive[row, known].tolist()]
+        expected, found = all_children(joint, terms, state[row]), children.score[row, known]
+        assert len(set(keys)) == len(keys) and set(keys) <= set(expected)
+        np.testing.assert_allclose(found, [expected[key] for key in keys], rtol=1e-5)
+        assert (np.diff(found) >= 0).all(), "best first"
+        assert not children.whole[row] or set(keys) == set(expected)
+        if width >= 100 and expected:
+            assert found[0] == pytest.approx(min(expected.values()), rel=1e-5)
+        num_valid += len(keys)
+    if width > sizes[-1]:
+        assert children.whole.all() and children.num_valid == num_valid
+        assert children.num_scored == len(state) * sizes.sum()
+        assert 0 < num_valid < 0.9 * len(state) * sizes[-1], "some children collide"
+    assert children.whole.all() == (width >= sizes[-1])
+
+
+def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
+    search = search_of(DOOR, 0.8, weight=2.0)
+    terms, state = search.scores, np.arange(len(search.joint.lattices[0].q), dtype=np.int32)[:, None]
+    for width in (1, 4, 8, 9):
+        children = best_successors(search.joint, terms, state, width)
+        np.testing.assert_array_equal(children.score, np.sort(terms[0], axis=1)[:, :width])
+        np.testing.assert_array_equal(children.whole, np.isfinite(terms[0]).sum(axis=1) <= width)
+        assert children.num_scored == terms[0].size
+        assert children.num_valid == np.isfinite(terms[0]).sum(), "counted before the cut"
+
+
+# Heuristics
+
+
+@pytest.mark.parametrize("chunk", [300, 1 << 15])
+def test_scores_are_costs_and_weighted_terms_of_children(chunk, monkeypatch):
+    monkeypatch.setattr(best_first, "_CHUNK", chunk)
+    joint, heuristic = joint_lattice_of(MIXED, 1.0), straight_line(MIXED)
+    tables = tabulate(joint, heuristic)
+    search = BestFirstSearch(joint, tables, 3.0, search_budget())
+    assert search.nearest == pytest.approx(3 * heuristic(MIXED.starts[None])[0], rel=1e-12)
+    for i, (lattice, table, score) in enumerate(zip(joint.lattices, tables, search.scores, strict=True)):
+        q = np.repeat(MIXED.starts[None], len(lattice.q), axis=0)
+        q[:, i, : lattice.q.shape[1]] = lattice.q
+        np.testing.assert_array_equal(table, heuristic.per_robot(q)[:, i])
+        np.testing.assert_allclose(score, lattice.cost + 3 * table[lattice.child], rtol=1e-6)
+
+
+def half_known(q):
+    """No estimate in the upper half, through which every way leads."""
+    return np.where(q[..., 1] > 5, np.inf, np.hypot(q[..., 0] - 8.21, q[..., 1] - 1.94))
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [half_known, lambda q: np.full(q.shape[:2], np.inf), lambda q: np.where(q[..., 0] > 4, 1e300, 1e39)],
+    ids=["half", "all", "too large for float32"],
+)
+@pytest.mark.filterwarnings("error")
+def test_infinity_prunes_nothing(terms):
+    assert validate(DOOR, bl_plan(DOOR, Separable(terms), BLOptions(step=0.5)).path).valid
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        (lambda q: np.full(q.shape[:2], np.nan), "must never return NaN"),
+        (lambda q: np.zeros(len(q)), r"must return an array of shape \(\d+, 1\)"),
+        (lambda q: "near", "What a heuristic returns must be numbers"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked_types")
+def test_what_is_no_estimate_is_refused(terms, message):
+    with pytest.raises(ValueError, match=message):
+        bl_plan(DOOR, Separable(terms), BLOptions(step=0.5))
+
+
+def test_negative_estimates_count_as_0_and_masked_ones_as_unknown():
+    joint = joint_lattice_of(DOOR, 0.5)
+    (table,) = tabulate(joint, Separable(lambda q: np.ma.masked_greater(q[..., 0] - 4, 3)))
+    x = joint.lattices[0].q[:, 0] - 4
+    np.testing.assert_array_equal(table, np.where(x > 3, np.inf, np.maximum(x, 0)))
+
+
+# Nodes
+
+
+def nodes_by_the_book(lattice, term, first):
     """Nodes in the order in which best-first search with partial expansion makes them, one robot and child a time."""
-    term = (lattice.cost + weight * table[lattice.child]).astype(np.float32)
     states, costs, claimed, found = [lattice.start], [0.0], {lattice.start}, lattice.start == lattice.goal
-    frontier, pushed, left = [(weight * table[lattice.start], 0, 0)], 0, {}
+    frontier, pushed, left = [(first, 0, 0)], 0, {}
     while frontier and not found:
         node = heapq.heappop(frontier)[2]
         state = states[node]
@@ -76,52 +210,26 @@ def nodes_by_the_book(lattice, table, weight):
     return states, costs
 
 
-# What is found
-
-
-@pytest.mark.parametrize("branching", [1, 10_000])
-def test_without_heuristic_every_cell_has_its_distance_where_motions_are_equal(branching):
-    # A cell is claimed when a child is made, not when it is expanded. On four neighbors of equal cost, the nodes of
-    # one cost come before those of the next, and no two of one cost are neighbors: then the first claim is the best.
-    search = search_of(LABYRINTH, 1.0, zero(), 0.0, FOUR_NEIGHBORS, branching=branching)
-    search.goal = np.array([-1])
-    (lattice,) = search.joint.lattices
-    assert run_on(search) is Status.EXHAUSTED
-    expected = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
-    costs = dict(zip(search.state[:, 0].tolist(), search.costs, strict=True))
-    assert costs == expected and costs[lattice.goal] == 24.0
-
-
 @pytest.mark.parametrize(
     ("problem", "step", "weight"),
-    [
-        (scenes.single_door(), 0.4, 0.0),
-        (scenes.single_door(), 0.4, 1.0),
-        (scenes.maze(), 0.04, 2.0),
-        (LABYRINTH, 0.6, 3.0),
-    ],
+    [(DOOR, 0.4, 0.0), (DOOR, 0.4, 1.0), (scenes.maze(), 0.04, 2.0), (LABYRINTH, 0.6, 3.0)],
     ids=["door-0", "door-1", "maze-2", "labyrinth-3"],
 )
-def test_nodes_come_in_the_order_of_the_book(problem, step, weight):
+def test_nodes_come_in_the_order_of_the_book(problem, step, weight, monkeypatch):
+    monkeypatch.setattr(best_first, "_BATCH", 1)
     search = search_of(problem, step, weight=weight)
+    first = float(search.nearest)
     assert run_on(search) is Status.SOLVED
-    states, costs = nodes_by_the_book(search.joint.lattices[0], search.estimate.tables[0], weight)
+    states, costs = nodes_by_the_book(search.joint.lattices[0], search.scores[0], first)
     assert search.state[:, 0].tolist() == states
     np.testing.assert_allclose(search.costs, costs, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("problem", "branching", "batch", "weight"),
-    [
-        (scenes.single_door(), 1, 1, 0.0),
-        (scenes.single_door(), 3, 16, 1.0),
-        (scenes.single_door(), 100, 16, 5.0),
-        (scenes.cross(2), 1, 16, 2.0),
-        (scenes.cross(2), 1000, 16, 2.0),
-    ],
+    ("problem", "weight"), [(DOOR, 0.0), (DOOR, 1.0), (DOOR, 5.0), (scenes.cross(2), 2.0), (PAIR, 1.0)]
 )
-def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(problem, branching, batch, weight):
-    search = search_of(problem, 0.5, exact(problem), weight, branching=branching, batch=batch)
+def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(problem, weight):
+    search = search_of(problem, 0.5, exact(problem), weight)
     assert run_on(search) is Status.SOLVED
     lattices, (first, *_, last) = search.joint.lattices, search.branch
     assert [(each.start, each.goal) for each in lattices] == list(zip(first, last, strict=True))
@@ -131,50 +239,36 @@ def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(problem
     assert report.cost >= least - 1e-9
 
 
-# What is exhausted
-
-
 @pytest.mark.parametrize(
-    ("problem", "options"),
+    ("problem", "width", "batch"),
     [
-        (hallway(2), {"width": 1}),
-        (hallway(4), {}),
-        (hallway(4), {"width": 1}),
-        (CELL, {}),
-        (CELL, {"batch": 16, "branching": 100}),
-        (CELL, {"width": 1}),
-        (CELL, {"width": 5, "branching": 2, "batch": 4}),
-        (THREE, {"width": 8, "batch": 4}),
-        (MIXED, {}),
-        (MIXED, {"width": 3, "batch": 8}),
+        (hallway(2), 1, 16),
+        (hallway(4), 1024, 1),
+        (hallway(4), 1, 1),
+        (CELL, 1024, 1),
+        (CELL, 1, 16),
+        (THREE, 8, 4),
+        (PAIR, 1024, 1),
+        (PAIR, 3, 8),
     ],
-    ids=lambda value: value.workspace.bounds.hi.tolist().__repr__() if isinstance(value, Problem) else str(value),
+    ids=range(8),
 )
-def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, options):
-    search = search_of(problem, 1.0, **options)
+def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, width, batch, monkeypatch):
+    monkeypatch.setattr(best_first, "_WIDTH", width)
+    monkeypatch.setattr(best_first, "_BATCH", batch)
+    search = search_of(problem, 1.0)
     search.goal = np.full(len(problem.robots), -1)  # nowhere
     expected = reachable(search.joint)
     assert run_on(search) is Status.EXHAUSTED
     states = list(map(tuple, search.state.tolist()))
     assert len(states) == len(set(states)) == search.budget.num_nodes and set(states) == expected
     assert not search.successors and search.budget.num_children_valid >= len(states) - 1
+    # Of what counted as held, nodes alone are left.
+    of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.most_products
+    assert of_nodes % max(1, len(states) - 1) == 0 and of_nodes >= 100 * (len(states) - 1)
 
 
-def test_claimed_cells():
-    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = joint_lattice_of(problem, 1.0).lattices
-    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
-    cells = claimed_cells(lattice, 0.65, 2.0)
-    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
-    for node in range(0, len(lattice.q), 37):
-        alike = (key == key[node]).all(axis=1)
-        alike[lattice.goal] = False
-        if node != lattice.goal:
-            np.testing.assert_array_equal(cells == cells[node], alike)
-    assert (cells == cells[lattice.goal]).sum() == 1
-
-
-# Limits, pauses and determinism
+# Limits and pauses
 
 
 @pytest.mark.parametrize(
@@ -182,31 +276,33 @@ def test_claimed_cells():
     [
         ({"max_expansions": 40}, Status.EXPANSION_LIMIT, lambda search: search.budget.num_expansions == 40),
         (
-            {"max_memory": 400_000},
+            {"max_memory": 1_000_000},
             Status.MEMORY_LIMIT,
-            lambda search: search.budget.memory >= 400_000 and 1 < len(search.states) < 1000,
+            lambda search: search.budget.memory >= 1_000_000 and 1 < len(search.states) < 2000,
         ),
         ({"seconds": 0.0}, Status.TIME_LIMIT, lambda search: len(search.states) == 1),
     ],
 )
 def test_limits(limit, status, is_at_it):
-    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, batch=8, limits=search_budget(**limit))
+    search = search_of(ROOMS, 0.4, zero(), 0.0)
+    search.budget = search.held.budget = search_budget(**limit)
+    search.held.add(search.held.num_bytes)
     assert search.run(10_000) is status and search.found is None and is_at_it(search)
 
 
-def test_memory_counts_what_is_kept_and_forgets_what_is_used_up():
-    search = search_of(CELL, 1.0)
-    search.goal = np.full(2, -1)
-    assert run_on(search) is Status.EXHAUSTED
-    of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.most_products
-    per_node = of_nodes / (len(search.states) - 1)
-    assert per_node == int(per_node) and per_node > 100, "only nodes are left"
+def test_past_the_deadline_nothing_is_begun():
+    with pytest.raises(TimeoutError):
+        search_of(ROOMS, 0.5, limits=search_budget(seconds=-1.0))
+    with pytest.raises(TimeoutError):
+        tabulate(joint_lattice_of(ROOMS, 0.5), zero(), -1.0)
 
 
-def test_a_paused_search_goes_on_where_it_was():
-    problem = scenes.four_rooms(2)
-    whole, paused = (search_of(problem, 0.4, weight=1.0, batch=16) for _ in range(2))
+@pytest.mark.parametrize("products", [1, 1 << 20])
+def test_a_paused_search_in_portions_does_what_a_whole_one_does(products, monkeypatch):
+    whole = search_of(ROOMS, 0.4)
     assert run_on(whole) is Status.SOLVED
+    monkeypatch.setattr(best_first, "_PRODUCTS", products)
+    paused = search_of(ROOMS, 0.4)
     pauses, turn = 0, 5
     while (status := paused.run(turn)) is None:
         assert paused.budget.num_expansions >= turn
@@ -214,3 +310,15 @@ def test_a_paused_search_goes_on_where_it_was():
     assert status is Status.SOLVED and pauses > 2
     np.testing.assert_array_equal(paused.state, whole.state)
     np.testing.assert_array_equal(paused.branch, whole.branch)
+
+
+def test_a_room_without_walls_is_full_of_nodes_of_their_distances():
+    # A cell is claimed when a child is made. On the way to nowhere, without a heuristic, costs are those of NetworkX
+    # or above, and no configuration is left out.
+    search = search_of(Problem(ROOM, [DiscRobot(0.4)], [(0.5, 0.5)], [(9.5, 9.5)]), 1.0, zero(), 0.0)
+    search.goal = np.array([-1])
+    assert run_on(search) is Status.EXHAUSTED
+    (lattice,) = search.joint.lattices
+    least = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
+    costs = dict(zip(search.state[:, 0].tolist(), search.costs, strict=True))
+    assert costs.keys() == least.keys() and all(costs[node] >= least[node] - 1e-9 for node in costs)

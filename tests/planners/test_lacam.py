@@ -4,23 +4,18 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from planner_helpers import FOUR_NEIGHBORS, TRANSLATIONS, hallway, reachable, search_budget
+from planner_helpers import hallway, reachable, search_budget
 from team_helpers import TEAMS, search_of, team_of
 
-from plr_jax import DiscRobot, Problem, Workspace, scenes
+from plr_jax import scenes
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners import Status, lacam
-from plr_jax.planners._options import PRIMITIVES
 from plr_jax.planners.lacam import PIBT, Moves
 
 
-@pytest.mark.parametrize(
-    ("problem", "step", "primitives"),
-    [(hallway(3), 1.0, PRIMITIVES), (hallway(5), 1.0, PRIMITIVES), (scenes.tangle(), 0.9, TRANSLATIONS)],
-    ids=["3 cells", "5 cells", "robots that cannot turn"],
-)
-def test_an_empty_stack_means_that_all_reachable_states_are_nodes(problem, step, primitives):
-    search = search_of(problem, step, primitives)
+@pytest.mark.parametrize(("problem", "step"), [(hallway(3), 1.0), (hallway(5), 1.0)], ids=["3 cells", "5 cells"])
+def test_an_empty_stack_means_that_all_reachable_states_are_nodes(problem, step):
+    search = search_of(problem, step)
     assert search.run(10**6) is Status.EXHAUSTED and search.found is None
     assert set(map(tuple, search.state.tolist())) == reachable(search.joint)
 
@@ -44,7 +39,7 @@ def test_a_paused_search_goes_on_where_it_was():
     ],
 )
 def test_limits(limit, status):
-    search = search_of(scenes.door(20), 0.4, FOUR_NEIGHBORS, budget=search_budget(**limit))
+    search = search_of(scenes.door(20), 0.4, search_budget(**limit))
     assert search.run(10) is status and search.budget.memory == search.held.num_bytes > 0
 
 
@@ -65,14 +60,11 @@ def test_moves_are_those_of_each_robot_best_first(name, seed):
     joint, moves_of = team_of(*TEAMS[name])
     state = wandered(joint, seed)
     moves = moves_of(state)
-    for kind, costs in zip(moves_of.kinds, moves_of.heuristic, strict=True):
-        for row, i in enumerate(kind.members.tolist()):
-            lattice = joint.lattices[i]
-            assert moves.child[i] == lattice.child[state[i]].tolist()
-            free = np.flatnonzero(np.isfinite(lattice.cost[state[i]]))
-            assert sorted(moves.ranked[i]) == free.tolist() and 0 in free
-            scores = costs[row, lattice.child[state[i]]][moves.ranked[i]]
-            assert (np.diff(scores) >= 0).all()
+    for i, (lattice, costs) in enumerate(zip(joint.lattices, joint.costs_to_go, strict=True)):
+        assert moves.child[i] == lattice.child[state[i]].tolist()
+        free = np.flatnonzero(np.isfinite(lattice.cost[state[i]]))
+        assert sorted(moves.ranked[i]) == free.tolist() and 0 in free
+        assert (np.diff(costs[lattice.child[state[i]]][moves.ranked[i]]) >= 0).all()
 
 
 @pytest.mark.parametrize("few_pairs", [0, 64], ids=["by cells", "each by itself"])
@@ -87,12 +79,12 @@ def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
         moves = moves_of(state)
         for i, j in combinations(range(len(robots)), 2):
             a, b = joint.lattices[i], joint.lattices[j]
-            p, q = (index.ravel() for index in np.indices((a.num_primitives, b.num_primitives)))
+            p, q = (index.ravel() for index in np.indices((a.cost.shape[1], b.cost.shape[1])))
             apart = motions_apart(
                 robots[i], a.q[[state[i]] * p.size], a.q[a.child[state[i], p]],
                 robots[j], b.q[[state[j]] * q.size], b.q[b.child[state[j], q]], tolerance,
             )  # fmt: skip
-            collide = ~apart.reshape(a.num_primitives, b.num_primitives)
+            collide = ~apart.reshape(a.cost.shape[1], b.cost.shape[1])
             for robot, other, expected in ((i, j, collide), (j, i, collide.T)):
                 (said,) = [bits for k, bits in moves.neighbors[robot] if k == other] or [[0] * len(expected)]
                 # Nobody asks what a motion that is not free collides with.
@@ -103,18 +95,16 @@ def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
     assert num_colliding > 0 and any(moves_of._between_cells) == (few_pairs == 0 and name == "crowd")
 
 
-def test_more_primitives_than_bits_in_a_word():
-    primitives = [offset for offset in product(range(-4, 5), range(-4, 5), (0,)) if offset != (0, 0, 0)]
-    problem = Problem(Workspace(((0, 0), (6, 6)), []), [DiscRobot(0.3)] * 2, [(1, 1), (2, 1)], [(5, 5), (1, 5)])
-    joint, moves_of = team_of(problem, 0.5, primitives)
-    moves = moves_of(np.array([lattice.start for lattice in joint.lattices]))
-    ((other, bits),) = moves.neighbors[0]
-    assert other == 1 and len(bits) == 81 and max(bits) >= 1 << 64
-    few, few_of = team_of(problem, 0.5, FOUR_NEIGHBORS)
-    few_bits = few_of(np.array([lattice.start for lattice in few.lattices])).neighbors[0][0][1]
-    at = [0] + [1 + primitives.index(p) for p in FOUR_NEIGHBORS]
-    for p, q in product(range(5), repeat=2):
-        assert few_bits[p] >> q & 1 == bits[at[p]] >> at[q] & 1
+def test_moves_past_the_deadline_and_in_portions(monkeypatch):
+    joint, moves = team_of(*TEAMS["mixed"])
+    state = np.array([lattice.start for lattice in joint.lattices])
+    state[2] = state[0]  # discs of one kind that meet
+    whole = moves(state)
+    monkeypatch.setattr(lacam, "_MOST", 1)
+    assert moves(state) == whole and any(whole.neighbors)
+    moves.deadline = -1.0
+    with pytest.raises(TimeoutError):
+        moves(state)
 
 
 def random_moves(rng, num_robots=4, num_primitives=4):

@@ -6,13 +6,13 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, graph_of, joint_lattice_of, nudged_team
+from planner_helpers import ROOM, graph_of, joint_lattice_of, nudged_discs, nudged_team
 from robot_helpers import along, shapes
 from team_helpers import MIXED
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
-from plr_jax.planners._options import PRIMITIVES
-from plr_jax.planners.lattice import build_lattices, kinds_of, motions_with_ends
+from plr_jax.planners import lattice as module
+from plr_jax.planners.lattice import PRIMITIVES
 
 BAR = RectangleRobot(1.3, 0.5)
 WALLS = Workspace(
@@ -21,8 +21,8 @@ WALLS = Workspace(
 )
 
 
-def lattice_of(problem, step, primitives=PRIMITIVES):
-    return build_lattices(problem, step, primitives)[0]
+def lattice_of(problem, step):
+    return joint_lattice_of(problem, step).lattices[0]
 
 
 def offsets_between(workspace, robot, step, q0, q1):
@@ -61,7 +61,7 @@ def deepest_overlap(workspace, robot, q0, q1):
 
 def visited(lattice):
     """The nodes of a lattice but for those that the start and the goal replace."""
-    return np.setdiff1d(np.arange(len(lattice.q)), lattice.ends.cell)
+    return np.setdiff1d(np.arange(len(lattice.q)), lattice.kind.ends.cell[lattice.row])
 
 
 def reaches_goal(lattice):
@@ -156,7 +156,7 @@ def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
     blocked = np.isinf(lattice.cost)
     assert blocked.any() and (lattice.child[blocked] == np.nonzero(blocked)[0]).all()
     lengths = np.linalg.norm((lattice.q[lattice.child] - lattice.q[:, None])[..., :2], axis=2)
-    assert lattice.table.stride == pytest.approx(lengths.max()) and lattice.table.stride > alone[1]
+    assert lattice.kind.stride == pytest.approx(lengths.max()) and lattice.kind.stride > alone[1]
 
 
 def test_costs_are_lengths_and_weighted_turns():
@@ -214,7 +214,7 @@ def motions_at_ends(problem, robot, lattice, step):
     start, goal = lattice.start, lattice.goal
     (offset,) = offsets(np.array([[start, goal]]))
     same_cell = start != goal and not any(offset)
-    cells = np.setdiff1d(np.arange(lattice.table.num_cells), lattice.ends.cell).tolist()
+    cells = np.setdiff1d(np.arange(lattice.kind.num_cells), lattice.kind.ends.cell[lattice.row]).tolist()
     pairs = [pair for end in {start, goal} for cell in cells for pair in ((end, cell), (cell, end))]
     pairs = np.array([*pairs, (start, goal), (goal, start)])
     leads = [tuple(offset) in PRIMITIVES for offset in offsets(pairs)]
@@ -234,12 +234,12 @@ def motions_at_ends(problem, robot, lattice, step):
 @pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
 def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
     problem, num_blocked = nudged_team(robot), 0
-    for i, lattice in enumerate(build_lattices(problem, step, PRIMITIVES)):
+    for i, lattice in enumerate(joint_lattice_of(problem, step).lattices):
         dof = robot.dof
         np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
         np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
         graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
-        of_others = set(range(lattice.table.num_cells, len(lattice.q))) - {lattice.start, lattice.goal}
+        of_others = set(range(lattice.kind.num_cells, len(lattice.q))) - {lattice.start, lattice.goal}
         assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
         expected = motions_at_ends(problem, robot, lattice, step)
         found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
@@ -278,13 +278,13 @@ def random_boxes(seed):
 def test_motions_of_all_robots_at_once_are_those_of_each(problem):
     joint = joint_lattice_of(problem, 0.5)
     rng = np.random.default_rng(0)
-    for kind in kinds_of(joint):
+    for kind in joint.kinds:
         for _ in range(40):
             # Near the ends, where motions differ from robot to robot.
-            around = np.unique(kind.table.child[kind.ends.node.ravel()])
+            around = np.unique(kind.child[kind.ends.node.ravel()])
             node = np.array([rng.choice([*around, *kind.ends.node[row]]) for row in range(len(kind.members))])
-            node = np.where(node >= kind.table.num_cells, kind.ends.node[:, 0], node)
-            child, cost = motions_with_ends(kind.table, kind.ends, node)
+            node = np.where(node >= kind.num_cells, kind.ends.node[:, 0], node)
+            child, cost = kind.motions(node)
             for row, i in enumerate(kind.members.tolist()):
                 np.testing.assert_array_equal(child[row], joint.lattices[i].child[node[row]])
                 np.testing.assert_array_equal(cost[row], joint.lattices[i].cost[node[row]])
@@ -297,7 +297,7 @@ def test_motions_of_all_robots_at_once_are_those_of_each(problem):
 )
 def test_costs_to_go_are_those_that_networkx_finds(problem, step):
     joint = joint_lattice_of(problem, step)
-    for kind in kinds_of(joint):
+    for kind in joint.kinds:
         rows = np.arange(len(kind.members))
         costs = kind.costs_to_go(rows)
         for row, i in enumerate(kind.members.tolist()):
@@ -316,29 +316,39 @@ def test_costs_to_go_are_those_that_networkx_finds(problem, step):
 
 def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
     answers = set()
-    for seed, step, primitives in product(
-        range(3), (0.5, 1.5), (PRIMITIVES, FOUR_NEIGHBORS[::2], ((2, 1, 0), (-1, 2, 0)))
-    ):
+    for seed, step in product(range(12), (0.5, 1.5)):
         try:
             problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
         except ValueError:  # no way for the disc
             continue
-        joint = joint_lattice_of(problem, step, primitives)
-        (kind,), (lattice,) = kinds_of(joint), joint.lattices
-        cost = kind.costs_to_go(np.zeros(1, np.intp))[0, lattice.start]
+        joint = joint_lattice_of(problem, step)
+        (lattice,), (cost,) = joint.lattices, joint.least_costs
         answers.add(bool(np.isfinite(cost)))
         assert np.isfinite(cost) == nx.has_path(graph_of(lattice), lattice.start, lattice.goal)
     assert answers == {True, False}
+
+
+def test_costs_to_go_in_portions(monkeypatch):
+    problem = scenes.door(6)
+    whole = joint_lattice_of(problem, 0.5).costs_to_go
+    monkeypatch.setattr(module, "_NODES", 1)
+    np.testing.assert_array_equal(joint_lattice_of(problem, 0.5).costs_to_go, whole)
+
+
+def test_robots_with_both_ends_in_one_cell_are_of_one_kind():
+    problem = nudged_discs(8)
+    joint = joint_lattice_of(problem, 0.8)
+    (kind,) = joint.kinds
+    assert kind.members.tolist() == list(range(64))
+    np.testing.assert_allclose(joint.least_costs, np.hypot(*(problem.goals - problem.starts).T))
 
 
 def test_costs_to_come_mirror_costs_to_go():
     # Motions here cost as much one way as the other; a table of swapped ends has the same costs, backward.
     there = MIXED
     back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
-    for kind, mirrored in zip(
-        kinds_of(joint_lattice_of(there, 0.5)), kinds_of(joint_lattice_of(back, 0.5)), strict=True
-    ):
-        rows, cells = np.arange(len(kind.members)), slice(kind.table.num_cells)
+    for kind, mirrored in zip(joint_lattice_of(there, 0.5).kinds, joint_lattice_of(back, 0.5).kinds, strict=True):
+        rows, cells = np.arange(len(kind.members)), slice(kind.num_cells)
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)
 
@@ -350,13 +360,13 @@ def test_costs_to_come_mirror_costs_to_go():
 )
 def test_edges_into_a_node_are_the_motions_of_each_robot(problem, step):
     joint = joint_lattice_of(problem, step)
-    for kind in kinds_of(joint):
+    for kind in joint.kinds:
         for row, i in enumerate(kind.members.tolist()):
             lattice, into = joint.lattices[i], kind.into_nodes(row)
-            cells = set(lattice.ends.cell.tolist())
+            cells = set(lattice.kind.ends.cell[lattice.row].tolist())
             others = set(kind.ends.node.ravel().tolist()) - {lattice.start, lattice.goal}
             found = {
-                (int(kind.begin[edge]), node, float(kind.cost[edge]))
+                (int(kind.begin[edge]), node, float(kind.edge_cost[edge]))
                 for node in range(len(lattice.q))
                 for edge in into[:, node]
                 if edge != kind.num_edges

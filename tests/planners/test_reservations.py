@@ -25,13 +25,11 @@ def table_of(name, waiting=6, seconds=60.0):
     search = search_of(problem, step)
     assert search.run(10_000) is Status.SOLVED
     state = np.concatenate([search.branch, np.repeat(search.branch[-1:], waiting, axis=0)])
-    kinds, costs_to_go, tolerance = search.moves.kinds, search.moves.heuristic, problem.workspace.tolerance
-    return search.joint, ReservationTable(kinds, costs_to_go, state, tolerance, search_budget(seconds=seconds))
+    return search.joint, ReservationTable(search.joint, state, search_budget(seconds=seconds))
 
 
 def assert_blocked_as_from_scratch(table):
-    budget = search_budget()
-    fresh = ReservationTable(table.kinds, table.costs_to_go, table.state, table.tolerance, budget)
+    fresh = ReservationTable(table.joint, table.state, search_budget())
     for blocked, expected in zip(table.blocked, fresh.blocked, strict=True):
         np.testing.assert_array_equal(blocked, expected)
 
@@ -43,8 +41,8 @@ def cheapest_by_networkx(joint, table, i):
     graph = nx.DiGraph()
     reached = {lattice.start}
     for step in range(len(state) - 1):
-        begin = np.repeat(sorted(reached), lattice.num_primitives)
-        primitive = np.tile(np.arange(lattice.num_primitives), len(reached))
+        begin = np.repeat(sorted(reached), lattice.cost.shape[1])
+        primitive = np.tile(np.arange(lattice.cost.shape[1]), len(reached))
         free = np.isfinite(lattice.cost[begin, primitive])
         begin, primitive = begin[free], primitive[free]
         end = lattice.child[begin, primitive]
@@ -81,7 +79,7 @@ def test_a_table_that_is_late_is_not_drawn_up():
 
 def test_memory_counts_what_the_table_and_its_collisions_take():
     _, table = table_of("crowd")
-    said = num_bytes_of_table(table.kinds, len(table.state))
+    said = num_bytes_of_table(table.joint, len(table.state))
     taken = sum(blocked.nbytes for blocked in table.blocked)
     assert taken / 2 <= said <= 4 * taken
     known = [edges for of_pair in table._known.values() for edges in of_pair.values()]
@@ -110,9 +108,11 @@ def test_collisions_are_those_of_each_two_motions(name):
             edges = rng.integers(ours.num_edges, size=5)
             every = np.arange(others.num_edges)
             for edge, found in zip(edges.tolist(), table.collisions(a, edges, b), strict=True):
-                q0, q1 = (ours.table.q[[node[edge]] * len(every)] for node in (ours.begin, ours.end))
-                p0, p1 = (others.table.q[node[every]] for node in (others.begin, others.end))
-                free = motions_apart(ours.robot, q0, q1, others.robot, p0, p1, table.tolerance)
+                q0, q1 = (ours.q[[node[edge]] * len(every)] for node in (ours.begin, ours.end))
+                p0, p1 = (others.q[node[every]] for node in (others.begin, others.end))
+                free = motions_apart(
+                    ours.robot, q0, q1, others.robot, p0, p1, table.joint.problem.workspace.tolerance
+                )
                 assert sorted(found.tolist()) == np.flatnonzero(~free).tolist()
 
 

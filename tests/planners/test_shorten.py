@@ -7,12 +7,12 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_of, search_budget
+from planner_helpers import MIXED, ROOM, exact, joint_lattice_of, search_budget
 
-from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners.best_first import BestFirstSearch
+from plr_jax.planners.best_first import BestFirstSearch, tabulate
 from plr_jax.planners.shorten import _cheapest, shorten, shorten_in_corridors
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
@@ -68,7 +68,7 @@ def straight_cost(problem):
 )
 def test_paths_of_the_search_become_cheaper_and_stay_valid(problem, step):
     joint = joint_lattice_of(problem, step)
-    search = BestFirstSearch(joint, heuristic_table(joint, exact(problem), 2.0), BLOptions(), search_budget())
+    search = BestFirstSearch(joint, tabulate(joint, exact(problem)), 2.0, search_budget())
     while search.run(100_000) is None:
         pass
     path = joint.configurations(search.branch)

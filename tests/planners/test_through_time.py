@@ -7,8 +7,7 @@ from planner_helpers import MIXED, ROOM
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._options import PRIMITIVES
-from plr_jax.planners.through_time import ROWS_PER_STEP, LoneRobot, Timetable, in_rows, plan_through_time
+from plr_jax.planners.through_time import ROWS_PER_STEP, Timetable, in_rows, plan_through_time
 from plr_jax.robots.robot import between
 
 LENGTH = 0.15
@@ -21,12 +20,8 @@ def straight(problem, num_rows):
     return between(problem.starts[None], problem.goals[None], share[..., None])
 
 
-def lone_robot(timetable, i):
-    return LoneRobot(timetable, i, ROWS_PER_STEP * LENGTH, PRIMITIVES)
-
-
 def planned(timetable, i, rest=np.inf, most=10_000):
-    motion, arrives = plan_through_time(timetable, lone_robot(timetable, i), rest, most)
+    motion, arrives = plan_through_time(timetable, i, ROWS_PER_STEP * LENGTH, rest, most)
     assert motion is not None
     return motion, arrives
 
@@ -94,8 +89,8 @@ def test_who_waits_for_another_goes_as_soon_as_that_has_passed():
     timetable.move(1, motion)
     assert arrives and validate(problem, timetable.path).valid
     # It may set out before the first has passed the bay, but be in the hallway no sooner.
-    alone = lone_robot(timetable, 1)
-    assert alone.rows_to_go[alone.lattice.start] < len(motion) - 1 < 27 + alone.rows_to_go[alone.lattice.start]
+    alone, _ = planned(Timetable(problem, problem.starts[None], patience=0), 1)
+    assert len(alone) < len(motion) < 27 + len(alone)
 
 
 def test_who_finds_no_way_goes_as_near_as_it_may_rest():

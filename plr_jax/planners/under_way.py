@@ -1,7 +1,8 @@
-"""Goals that keep coming: robots that arrive get their next goals while the others go on."""
+"""Teams that are under way: planned from where everybody is, or as goals keep coming."""
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -9,22 +10,150 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_numbers, require_function, require_integer
-from plr_jax._problem import Problem, row_times, straight_costs
+from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
+from plr_jax._problem import Problem, motion_costs, row_times, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._options import BLOptions, require_task
-from plr_jax.planners._solution import Solution, Status
-from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.through_time import (
-    ROWS_PER_STEP,
-    JointPath,
-    LoneRobot,
-    Motion,
-    Timetable,
-    in_rows,
-    plan_through_time,
+from plr_jax.planners._solution import (
+    BLOptions,
+    Solution,
+    Stats,
+    Status,
+    require_task,
+    solution_of,
+    straight_line_bound,
 )
+from plr_jax.planners.driver import bl_plan, first_step
+from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, in_rows, plan_through_time
+
+_DEFAULT_OPTIONS = BLOptions()
+
+# As few robots anew as may be.
+
+_MOST_STATES = 20_000  # expanded for one robot
+_ATTEMPTS = 3  # times as many robots are planned at most as the team has, or as wait, before all start from nothing
+
+
+def replan(
+    problem: Problem,
+    solution: Solution,
+    at: float | int,
+    options: BLOptions = _DEFAULT_OPTIONS,
+    standing: Sequence[int] = (),
+) -> Solution:
+    """Plan a team that is under way: robots keep what was planned for them, as far as it still leads to their goals.
+
+    For when a few goals or a few walls have changed, or robots have broken down. A robot is planned anew if its
+    motion does not end at its goal, hits an obstacle, or meets a robot that stands: by itself, through time, among
+    the others, to be at its goal soonest. One that finds no way goes as if it were alone, and those whom it meets are
+    planned anew in their turn. If that goes on for too long, :func:`bl_plan` plans all from nothing.
+
+    Paths are for robots at unit speed, that need not move in step with one another. The lattices of a workspace are
+    kept from call to call, as those of :func:`bl_plan`.
+
+    Args:
+        problem: What is to be done from now on: the workspace as it is now, the goals, and as starts the joint
+            configuration of the solution at the time, ``solution.path_at(at)``.
+        solution: What the team was doing, of any planner: a path for the same robots.
+        at: The time since the path of the solution began, at least 0; past its makespan, all robots are at its end.
+        options: ``step`` and the limit on time, which holds again for what is planned from nothing, under all
+            options.
+        standing: Robots that do not move from now on. Their goals must be their starts. Others whose goals are their
+            starts may make way and come back. Where some stand, nothing is planned from nothing.
+
+    Returns:
+        The solution from here on. Its status is EXHAUSTED if no path was found beside robots that stand, TIME_LIMIT
+        if the limit was reached before.
+
+    Raises:
+        ValueError: If the solution has no path or is for other robots, the starts are not where it has the robots at
+            that time, to the tolerance of the workspace, the time is negative or not finite, or robots that stand are
+            none of the team or have goals elsewhere.
+
+    References:
+        Silver, "Cooperative pathfinding", 2005.
+    """
+    require_task(problem, options)
+    began, num_robots = time.perf_counter(), len(problem.robots)
+    # 1. The robots that stand, whose goals are where they start.
+    expected = f"standing must be indices of the {num_robots} robots"
+    if not isinstance(standing, Iterable):
+        raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
+    fixed = {*standing}
+    for i in fixed:
+        require_integer("standing", i, 0)
+        if i >= num_robots:
+            raise ValueError(f"{expected}, got {i}.")
+        if (problem.starts[i] != problem.goals[i]).any():
+            goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
+            raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
+    # 2. What is left of the path at that time.
+    if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
+        raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
+    if solution.path.shape[1:] != problem.starts.shape:
+        expected = f"the problem's robots, of shape {problem.starts.shape}"
+        raise ValueError(f"solution must be one for {expected}, got a path for {solution.path.shape[1:]}.")
+    as_number("at", at, "a time of at least 0", lambda time: 0 <= time < math.inf)
+    apart = motion_costs(problem, solution.path_at(at), problem.starts)
+    if (apart > problem.workspace.tolerance).any():
+        i = int(apart.argmax())
+        where = f"where the solution has the robots then, solution.path_at({at:g})"
+        raise ValueError(f"starts must be {where}: robot {i} is {apart[i]:.3g} away from there.")
+    rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
+    # 3. Plan those anew whose motions do not lead to their goals any more.
+    step = options.step or first_step(problem)
+    timetable = Timetable(problem, in_rows(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit)
+    try:
+        status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED
+    except TimeoutError:
+        status = Status.TIME_LIMIT
+    except KeyboardInterrupt:
+        status = Status.INTERRUPTED
+    if status is Status.EXHAUSTED and not fixed:
+        return bl_plan(problem, options=options)
+    found = timetable.path if status is Status.SOLVED else None
+    stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
+    return solution_of(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
+
+
+def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
+    """Plan those anew whose motions do not lead to their goals any more; whether all have one that does."""
+    num_robots, test = len(problem.robots), timetable.test
+    todo = []
+    for i in sorted({*range(num_robots)} - fixed):
+        dof, q = problem.robots[i].dof, timetable.path[:, i]
+        is_there = (q[-1, :dof] == problem.goals[i, :dof]).all()
+        if not is_there or not test.of_walls[i](q[:-1], q[1:], test.deadline).all():
+            todo.append(i)
+    timetable.absent.update(todo)
+
+    def make_way(i: int, motion: Motion) -> None:
+        """Plan robots anew whose motions meet one; until then they are in nobody's way."""
+        others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
+        timetable.absent.update(others)
+        todo.extend(others)
+
+    for i in fixed:
+        timetable.move(i, timetable.path[:1, i])
+    for i in fixed:
+        make_way(i, timetable.path[:, i])
+    for _ in range(_ATTEMPTS * num_robots):
+        if not todo:
+            return True
+        i = todo.pop(0)
+        motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+        if motion is None or not arrives:
+            others, timetable.absent = timetable.absent, {*range(num_robots)} - fixed
+            motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+            timetable.absent = others
+            if motion is None or not arrives:
+                return False
+            make_way(i, motion)
+        timetable.move(i, motion)
+    return False
+
+
+# Robots that arrive get their next goals while the others go on.
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
 NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
@@ -32,11 +161,9 @@ Planner: TypeAlias = Callable[[Problem], Solution]
 
 _WINDOW = 15  # rows after which robots that wait are planned again at the latest
 _PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, is in the way of others
-_MOST_STATES = 600  # expanded for one robot, which else goes but part of its way for now
-_ATTEMPTS = 3  # times as many robots are planned at most as wait, before the team is planned from nothing
+_FEW_STATES = 600  # expanded for one robot, which else goes but part of its way for now
 _LATE = 10  # rows that a robot may be later than on a straight way, before it is planned again
 _MOST_IDLE = 20  # windows in a row in which nobody is on its way to its goal, likewise
-_DEFAULT_OPTIONS = BLOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +268,7 @@ class _Team:
         self.wanted, self.path = problem.starts.copy(), problem.starts[None]
         for i, robot in enumerate(problem.robots):
             self.wanted[i, : robot.dof] = problem.goals[i, : robot.dof]
-        self.step = options.step or first_step(problem, len(options.primitives))
+        self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
@@ -264,5 +391,4 @@ class _Team:
 
     def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
         """A motion of a robot among the others, and whether it leads to the goal."""
-        lone = LoneRobot(timetable, i, self.step, self.options.primitives)
-        return plan_through_time(timetable, lone, _PATIENCE, _MOST_STATES)
+        return plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)
