@@ -1,7 +1,7 @@
 """Distance functions over configuration spaces, compressed into kilobytes of planes.
 
 A `DistanceFn` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
-be reached; a `HeuristicFn` answers costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``, summed over robots.
+be reached; a `HeuristicFn` answers costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``.
 
 # Discover: how far is it?
 

@@ -79,14 +79,15 @@ def replan(
     expected = f"standing must be indices of the {num_robots} robots"
     if not isinstance(standing, Iterable):
         raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
-    fixed = {*standing}
-    for i in fixed:
+    robots = [*standing]
+    for i in robots:
         require_integer("standing", i, 0)
         if i >= num_robots:
             raise ValueError(f"{expected}, got {i}.")
         if (problem.starts[i] != problem.goals[i]).any():
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
             raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
+    fixed = {*robots}
     # 2. What is left of the path at that time.
     if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
         raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
