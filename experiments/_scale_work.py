@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
-from plr_jax import BuildOptions, DistanceFn, VisibilityGraph, construct_grid_pairs, construct_many, scenes
+from plr_jax import BuildOptions, DistanceFn, VisibilityGraph, construct_many, scenes
 from plr_jax._types import Distances, Points
 
 GOAL_SEED = 13
@@ -55,10 +54,3 @@ def files_of(oracles: list[DistanceFn], scene: str, leaf: str, max_bytes: int, *
 def build(scene: str, leaf: str, num_goals: int, max_bytes: int, seed: int, checkpoint: Path) -> None:
     """All files, with a checkpoint."""
     files_of(family(scene, num_goals, seed), scene, leaf, max_bytes, checkpoint=checkpoint)
-
-
-def tables_of_grid(side: int, max_bytes: int, seed: int, **how: Any) -> list[bytes]:
-    """The file of bounds of distances between cells of a grid, of which one in 100 is blocked, and the tables."""
-    pairs = construct_grid_pairs(np.random.default_rng(seed).random((side, side)) > 0.01, max_bytes=max_bytes, **how)
-    assert pairs.num_landmarks
-    return [pairs.to_bytes(), *(np.asarray(table).tobytes() for table in jax.tree_util.tree_leaves(pairs.tables))]

@@ -245,17 +245,11 @@ def scale(results: dict[str, Any]) -> str:
             f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
         )
 
-    goals, grids = results["goals"], results["grids"]
+    goals = results["goals"]
     cones, planes = (
         f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
     )
-    side, megabytes = grids["side"], grids["max_bytes"] / 10**6
-    return (
-        table(goals["workers"])
-        + f"\n{cones} of cones. Then {planes} of planes, by {resumed(goals['kills'])}\n"
-        + table(grids["workers"])
-        + f"\nBounds of pairs of {side} x {side} cells in {megabytes:g} MB. Then by {resumed(grids['kills'])}"
-    )
+    return table(goals["workers"]) + f"\n{cones} of cones. Then {planes} of planes, by {resumed(goals['kills'])}"
 
 
 def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:

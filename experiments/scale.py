@@ -3,9 +3,7 @@
 A row of the table is one ``construct_many`` of the same oracles by workers of a kind, and whether all files are those
 of one thread. A worker of the last rows is killed half-way. Then processes build with a checkpoint, are killed at
 random moments, and others go on: is the checkpoint, which holds all files, that of a process that was left alone?
-Then the same of a grid with obstacles at random, and bounds of the distances between its cells: the file, the tables
-that a query reads, and the checkpoint. Seconds are with the start of the workers, on two shared cores: they say
-nothing of what more cores gain.
+Seconds are with the start of the workers, on two shared cores: they say nothing of what more cores gain.
 """
 
 import os
@@ -24,13 +22,11 @@ from typing import Any
 import numpy as np
 
 from experiments._runner import Section, run
-from experiments._scale_work import FatalOnce, build, family, files_of, tables_of_grid
+from experiments._scale_work import FatalOnce, build, family, files_of
 
 SCENE, NUM_KILLS = "maze", 20
 CONES, PLANES = ("cone", 150, 200), ("plane", 60, 512)
 """Leaves, goals, and bytes of each file: parts of several goals are for workers, of one for kills."""
-GRID = 500, 4 * 10**6
-"""Cells of a side, and bytes that a query reads."""
 _EARLIEST = 0.05  # of the time that a process takes
 
 Rows = list[dict[str, Any]]
@@ -52,14 +48,6 @@ def goals(seed: int, smoke: bool) -> dict[str, Any]:
             rows.append(_row(f"{kind}, one killed", 2, begun, files[:half] + files[half + 1 :], expected))
     kills = _kills(partial(build, scene, *planes, seed), 2 if smoke else NUM_KILLS, seed)
     return {"cones": cones[1:], "planes": planes[1:], "workers": rows, "kills": kills}
-
-
-def grids(seed: int, smoke: bool) -> dict[str, Any]:
-    side, max_bytes = (40, 8_500) if smoke else GRID
-    made = partial(tables_of_grid, side, max_bytes, seed)
-    rows, _ = _workers(made, (2,) if smoke else (1, 2, 4))
-    kills = _kills(made, 2 if smoke else NUM_KILLS, seed)
-    return {"side": side, "max_bytes": max_bytes, "workers": rows, "kills": kills}
 
 
 def _workers(made: Callable[..., list[bytes]], counts: tuple[int, ...]) -> tuple[Rows, list[bytes]]:
@@ -127,7 +115,7 @@ def _process(made: Callable[..., Any], path: Path, seconds: float) -> tuple[byte
     return (path.read_bytes() if path.exists() else b""), process.exitcode != 0
 
 
-SECTIONS = {each.__name__: Section(each) for each in (goals, grids)}
+SECTIONS = {"goals": Section(goals)}
 
 if __name__ == "__main__":
     run("scale", "Whoever builds for a fleet, however often killed: the same bytes.", SECTIONS)

@@ -134,7 +134,6 @@ def info(
         "num_leaves",
         "num_unreachable",
         "num_corners",
-        "num_landmarks",
         "depth",
         "max_error",
     ]
@@ -157,8 +156,6 @@ def info(
         num_bytes += f", {facts['resident_bytes']:,} in memory"
     else:
         lines["corners"] = f"{facts['num_corners']:,}"
-        if facts.get("num_landmarks"):
-            lines["landmarks"] = f"{facts['num_landmarks']:,}: distances are bounds"
     lines["bytes"] = num_bytes
     typer.echo("\n".join(f"{name:11}{printable(text)}" for name, text in lines.items()))
 

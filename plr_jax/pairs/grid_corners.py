@@ -19,7 +19,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,19 +30,11 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, runs
 
-# Lengths of steps as integers, so that sums have no rounding and do not depend on their order.
-
-
 _Numbers = TypeVar("_Numbers")
 
-CONNECTIVITIES = (4, 8)
-_STRAIGHT = {4: 1, 8: 985}
-_DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
-
-
-def units(connectivity: int) -> int:
-    """How many units long a straight step is."""
-    return _STRAIGHT[connectivity]
+# Lengths of steps in units, as integers, so that sums have no rounding and do not depend on their order.
+STRAIGHT = {4: 1, 8: 985}
+DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
@@ -52,22 +44,19 @@ def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Number
     """
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
-    return _STRAIGHT[connectivity] * straight + _DIAGONAL[connectivity] * diagonal
+    return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
-class TablesTooLarge(ValueError):
-    """Tables that hold exact distances of a grid would take more bytes than allowed, or too long to make."""
-
-    def __init__(self, most_bytes: int):
-        super().__init__(most_bytes)
-
-    def __str__(self) -> str:
-        return (
-            f"The grid's obstacles have too many corners for exact tables of {self.args[0]:,} bytes: cut the map, or "
-            "give max_bytes, and where exact tables take more, or minutes, distances are proven bounds instead."
-        )
-
-
+FAR = 2**30
+"""No path, in units: no sum of distances that are there reaches it."""
+MOST_IN_TABLE = 2**14
+"""Corners between which all distances are kept: of 8 bits, they take 134 MB, and four times that until then."""
+_MOST_BYTES = 2**30  # of the largest table
+_TOO_LARGE = (
+    "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
+    "ask a GridGraph, which searches."
+)
+_TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _AT_ONCE = 2**22  # cells of runs that are listed at once
 
@@ -99,55 +88,22 @@ def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def taut_corners(
-    free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int
+    free: Bool[np.ndarray, "rows columns"], connectivity: int
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
-    """Corners that each cell sees and is taut at, with no such corner between them.
+    """Return the corners that each cell sees and is taut at, with no such corner between them.
 
-    _Cells and corners are numbered in row-major order. Where the corners of each cell begin, and the corners, in the
-    order of their numbers. Raises ``TablesTooLarge`` if a byte for each is too much.
+    Cells and corners are numbered in row-major order. The first result is where the corners of each cell begin, the
+    second the corners, in the order of their numbers. Raises ``ValueError`` if a byte for each is too much.
     """
-    taut = _taut_runs(free, connectivity)
-    if taut.length.sum() > most_bytes:
-        raise TablesTooLarge(most_bytes)
-    order = np.argsort(taut.corner, kind="stable")
-    taut = _Runs(*(one[order] for one in taut))
-    cells = np.empty(int(taut.length.sum()), np.int32)
-    end = 0
-    for some in parts(taut.length, _AT_ONCE):
-        run, place = runs(taut.length[some])
-        cells[end : end + len(run)] = taut.first[some][run] + taut.step[some][run] * place
-        end += len(run)
-    corners = int(taut.corner.max(initial=-1)) + 1
-    counts = np.bincount(taut.corner, weights=taut.length, minlength=corners)
-    return _transposed(np.concatenate([[0], np.cumsum(counts)]).astype(np.int32), cells, free.size)
-
-
-def _transposed(
-    first: Int32[np.ndarray, "corners_plus_one"], cells: Int32[np.ndarray, "pairs"], num_cells: int
-) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
-    """Lists of cells by corners as lists of corners by cells, in linear time."""
     from scipy.sparse import csr_array
 
-    table = csr_array((np.ones(len(cells), np.int8), cells, first), shape=(len(first) - 1, num_cells)).tocsc()
-    return table.indptr, table.indices  # of the type of those given
-
-
-class _Runs(NamedTuple):
-    """_Cells that corners see: ``length`` ones from ``first``, each ``step`` behind the one before."""
-
-    corner: _Cells
-    first: _Cells
-    step: _Cells
-    length: _Cells
-
-
-def _taut_runs(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> _Runs:
-    """The cells that are taut at each corner, by runs."""
-    found = [_Runs(*(np.zeros((4, 0), np.int64)))]
+    # 1. Runs of cells that are taut at a corner: the corner, the first cell, the step to the next, and their number.
+    found = [np.zeros((4, 0), np.int64)]
     for sector in _sectors(free, connectivity):
         # Beyond a corner in this sector, those further ahead are taut at it if a blocked diagonal of it is ahead, and
         # those further aside if one is aside; a diagonal step goes ahead as well.
-        blocked, at = sector.blocked, {along: sector.of_corners(cells) for along, cells in sector.blocked.items()}
+        blocked = sector.blocked
+        at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
         # Whether cells beside a corner are taut at it: with exactly one of row and column beyond its own, or both.
         if_ahead, if_aside, if_both = (at[one] | at[other] for one, other in _TAUT)
@@ -161,8 +117,22 @@ def _taut_runs(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> _Ru
             length = np.where(goes_on, width, 1) - begin
             some = length > 0
             first = sector.cells(corner[some], rows, begin[some])
-            found.append(_Runs(corner[some], first, np.full(len(first), sector.column_step), length[some]))
-    return _Runs(*map(np.concatenate, zip(*found, strict=True)))
+            found.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
+    taut = np.concatenate(found, axis=1)
+    if taut[3].sum() > _MOST_BYTES:
+        raise ValueError(_TOO_LARGE)
+    corner, first, step, length = taut[:, np.argsort(taut[0], kind="stable")]
+    # 2. The cells of these runs, listed by corners.
+    cells, end = np.empty(int(length.sum()), np.int32), 0
+    for some in parts(length, _AT_ONCE):
+        run, place = runs(length[some])
+        cells[end : end + len(run)] = first[some][run] + step[some][run] * place
+        end += len(run)
+    num_corners = int(corner.max(initial=-1)) + 1
+    first = np.append(0, np.cumsum(np.bincount(corner, weights=length, minlength=num_corners))).astype(np.int32)
+    # 3. The corners, listed by cells: the transposed sparse matrix, in linear time.
+    table = csr_array((np.ones(len(cells), np.int8), cells, first), shape=(num_corners, free.size)).tocsc()
+    return table.indptr, table.indices
 
 
 _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
@@ -189,18 +159,8 @@ class _Sector:
     keeps_ahead: bool
     keeps_aside: bool
 
-    def of_corners(self, values: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "corners"]:
-        """Values at the corners."""
-        return values[self.row, self.column]
-
-    def steps_aside(self) -> Bool[np.ndarray, "rows columns"]:
-        """Whether the step aside from each cell is legal."""
-        beside = np.pad(self.free, ((0, 1), (0, 1)))
-        above = self.free & beside[1:, :-1]
-        return above & beside[:-1, 1:] & beside[1:, 1:] if self.slanted else above
-
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
-        """_Cells so many steps from corners."""
+        """Cells so many steps from corners."""
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
@@ -239,8 +199,12 @@ def _scan(
     A row ends with the first cell that ``ends_row``; later rows end one step after it, and before one that
     ``ends_later``.
     """
+    beside = np.pad(sector.free, ((0, 1), (0, 1)))
+    may_step_aside = sector.free & beside[1:, :-1]
+    if sector.slanted:
+        may_step_aside &= beside[:-1, 1:] & beside[1:, 1:]
     to_blocked, to_end = _steps_to(~sector.free), _steps_to(ends_row)
-    to_later, to_illegal = _steps_to(ends_later), _steps_to(~sector.steps_aside())
+    to_later, to_illegal = _steps_to(ends_later), _steps_to(~may_step_aside)
     row, column = sector.row, sector.column
     corner, aside = np.arange(len(row)), 0
     width = to_blocked[row, column]
@@ -273,15 +237,6 @@ def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndar
 
     return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
 
-
-FAR = 2**30
-"""No path, in units: no sum of distances that are there reaches it."""
-
-MOST_IN_TABLE = 2**14
-"""Corners between which all distances are kept: of 8 bits, they take 134 MB, and four times that until then."""
-
-MOST_BYTES = 2**30
-"""Of the largest table that is made where no fewer are asked for."""
 
 _NO_PATH = FAR + 2**20  # so that what is a little less is no path either
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # so that twice as many units fit into 8 bits, or into 16
@@ -360,35 +315,55 @@ class CornerLabels:
 _PlaceAndLeast = tuple[Int32[Array, ""], Int32[Array, "..."]]
 
 
-def corner_distances(
-    free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int
-) -> CornerTable | CornerLabels:
+_Edges = list[dict[int, int]]
+
+
+def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
     """Distances between all corners of a grid, in row-major order.
 
     Raises:
-        ValueError: If paths are so long that their lengths do not fit into 30 bits.
-        TablesTooLarge: If they would take more bytes, or so many corners are in passages so wide that taking them out
-            would take minutes.
+        ValueError: If paths are so long that their lengths do not fit into 30 bits, if the tables would take too many
+            bytes, or if so many corners are in passages so wide that taking them out would take minutes.
     """
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # to which a query adds the rest
     if most < 0:
-        raise _too_long(FAR // 2)
-    edges = _edges(free, connectivity)
+        raise ValueError(_TOO_LONG)
+    # 1. The graph of corners in sight: the length of each corner's edges, by the other end.
+    places = np.flatnonzero(corner_cells(free))
+    ends = corners_in_sight(free, connectivity)
+    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
+    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
+    edges: _Edges = [{} for _ in places]
+    for a, b, length in zip(*(one.tolist() for one in (*ends, lengths)), strict=True):
+        edges[a][b] = edges[b][a] = length
     size, kind = len(edges) * (len(edges) + 1) // 2, np.dtype(np.int8 if connectivity == 4 else np.int16)
     has_table = len(edges) <= MOST_IN_TABLE
-    if has_table and size * kind.itemsize > most_bytes:
-        raise TablesTooLarge(most_bytes)
+    if has_table and size * kind.itemsize > _MOST_BYTES:
+        raise ValueError(_TOO_LARGE)
+    # 2. Elimination, and the distances of the corners that were taken out last first.
     with tqdm(
         desc="construct_grid_pairs", unit=" corners", total=2 * len(edges), delay=2, leave=False, disable=None
     ) as progress:
-        order, uppers = _eliminated(edges, most_bytes, progress)
+        order, uppers = _eliminated(edges, progress)
         if not has_table:
-            return _labels(order, uppers, most, most_bytes, progress)
+            labels = _labels(order, uppers, progress)
+            if labels.length.max(initial=0) > most // 2:
+                raise ValueError(_TOO_LONG)
+            return labels
         distances = _all_pairs(order, uppers, progress)
-    if np.count_nonzero(distances < most) != _num_joined(order, uppers):
-        raise _too_long(most)
-    radius = _MOST_STEPS_FROM_CENTER[connectivity] * units(connectivity)
-    centers, center = _centers(distances, radius)
+    part = np.arange(len(order))  # that paths join: all are taken out of it but one that has no neighbors left
+    for corner in reversed(order):
+        part[corner] = part[next(iter(uppers[corner]), corner)]
+    if np.count_nonzero(distances < most) != (np.bincount(part, minlength=1) ** 2).sum():
+        raise ValueError(_TOO_LONG)
+    # 3. Centers, so many that each corner is near one, and differences from the distances between centers.
+    radius = _MOST_STEPS_FROM_CENTER[connectivity] * STRAIGHT[connectivity]
+    center, centers = np.full(len(distances), -1), []
+    for corner, row in enumerate(distances):
+        if center[corner] < 0:
+            center[(center < 0) & (row <= radius)] = len(centers)
+            centers.append(corner)
+    centers = np.array(centers, np.int64)
     between = distances[np.ix_(centers, centers)]
     differences = np.empty(size, kind)
     for corner, row in enumerate(distances):
@@ -398,26 +373,7 @@ def corner_distances(
     return CornerTable(*map(jnp.asarray, (center.astype(np.min_scalar_type(len(centers))), between, differences)))
 
 
-def _too_long(most: int) -> ValueError:
-    return ValueError(f"Paths of more than {most} units are too long; distances of pairs go up to {FAR}.")
-
-
-_Edges = list[dict[int, int]]
-
-
-def _edges(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> _Edges:
-    """Lengths of the edges of each corner, by the other end: those to corners in sight."""
-    places = np.flatnonzero(corner_cells(free))
-    ends = corners_in_sight(free, connectivity)
-    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
-    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
-    edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(one.tolist() for one in (*ends, lengths)), strict=True):
-        edges[a][b] = edges[b][a] = length
-    return edges
-
-
-def _eliminated(edges: _Edges, most_bytes: int, progress: tqdm) -> tuple[list[int], _Edges]:
+def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
     """An order of elimination, and the neighbors that each corner has when it is taken out.
 
     Of corners with as few neighbors those are first that are not above others, so that chains have few ancestors.
@@ -435,8 +391,8 @@ def _eliminated(edges: _Edges, most_bytes: int, progress: tqdm) -> tuple[list[in
         order.append(corner)
         num_edges, work = num_edges + len(nearby), work + len(nearby) ** 2
         is_labeled = len(edges) > MOST_IN_TABLE  # then each neighbor is one of the ancestors
-        if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > most_bytes):
-            raise TablesTooLarge(most_bytes)
+        if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > _MOST_BYTES):
+            raise ValueError(_TOO_LARGE)
         progress.update()
         for a, to_a in nearby.items():
             of_a = edges[a]
@@ -449,7 +405,7 @@ def _eliminated(edges: _Edges, most_bytes: int, progress: tqdm) -> tuple[list[in
     return order, edges
 
 
-def _labels(order: list[int], uppers: _Edges, most: int, most_bytes: int, progress: tqdm) -> CornerLabels:
+def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
     """Distances of all corners to their ancestors, those of the last ones first."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
@@ -459,8 +415,8 @@ def _labels(order: list[int], uppers: _Edges, most: int, most_bytes: int, progre
             parent[corner] = min(uppers[corner], key=place.__getitem__)
             depth[corner] = depth[parent[corner]] + 1
     first = np.concatenate([[0], np.cumsum(depth + 1)])
-    if _ANCESTOR_BYTES * first[-1] > most_bytes:
-        raise TablesTooLarge(most_bytes)
+    if _ANCESTOR_BYTES * first[-1] > _MOST_BYTES:
+        raise ValueError(_TOO_LARGE)
     ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
     for corner in reversed(order):
         progress.update()
@@ -478,8 +434,6 @@ def _labels(order: list[int], uppers: _Edges, most: int, most_bytes: int, progre
         of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
         over = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
         length[above] = np.minimum(over.min(axis=0), FAR)
-    if length.max(initial=0) > most // 2:
-        raise _too_long(most)
     return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
 
 
@@ -497,23 +451,3 @@ def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.nda
             over = distances[place[list(nearby)], :known] + lengths[:, None]
             distances[known, :known] = distances[:known, known] = np.minimum(over.min(axis=0), _NO_PATH)
     return distances[np.ix_(place, place)]
-
-
-def _num_joined(order: list[int], uppers: _Edges) -> int:
-    """How many pairs of corners paths join, of which all are taken out but for one that has no neighbors left."""
-    part = np.arange(len(order))
-    for corner in reversed(order):
-        part[corner] = part[next(iter(uppers[corner]), corner)]
-    return int((np.bincount(part, minlength=1) ** 2).sum())
-
-
-def _centers(
-    distances: Int32[np.ndarray, "corners corners"], radius: int
-) -> tuple[Int[np.ndarray, "centers"], Int[np.ndarray, "corners"]]:
-    """Corners so many that each is near one, and the number of that."""
-    center, centers = np.full(len(distances), -1), []
-    for corner, row in enumerate(distances):
-        if center[corner] < 0:
-            center[(center < 0) & (row <= radius)] = len(centers)
-            centers.append(corner)
-    return np.array(centers, np.int64), center

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt
 from plr_jax._arrays import parts, runs
 from plr_jax.pairs.grid_corners import (
     FAR,
-    MOST_BYTES,
+    STRAIGHT,
     CornerLabels,
     CornerTable,
     corner_cells,
@@ -28,7 +28,6 @@ from plr_jax.pairs.grid_corners import (
     looked_up,
     open_length,
     taut_corners,
-    units,
 )
 
 _WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
@@ -84,12 +83,8 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
             in_rows = sums_along_rows(~grid & is_beside_free(grid))
             tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), in_rows]
     flat = np.concatenate([table.ravel() for table in tables])
-    return IllegalSteps(jnp.asarray(narrow(flat)), jnp.asarray(bits_of(free)), free.shape, connectivity)
-
-
-def bits_of(free: Bool[np.ndarray, "rows columns"]) -> UInt32[np.ndarray, "words"]:
-    """Bits of the cells in row-major order, the lowest of a word first."""
-    return np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
+    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
+    return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
@@ -100,23 +95,18 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
     """Whether cells of the grid see each other; blocked ones see none."""
-    count = _count_in_rectangles if sight.connectivity == 4 else _count_in_sectors
-    return is_free(sight, p) & (count(sight, p, q) == 0)
 
+    def between(row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]) -> Int[Array, "n"]:
+        """What the sums of a row, which begins there, increase by from before a column to the last one."""
+        return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
 
-def _count_in_rectangles(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Blocked cells in the rectangles between cells."""
-    (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
-    stride = sight.shape[1] + 1
-    above, below = row * stride, (last_row + 1) * stride
-    return _between(sight, below, column, last_column) - _between(sight, above, column, last_column)
-
-
-def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"]:
-    """Illegal diagonal steps in the parallelograms between cells; of cells in one line the blocked ones.
-
-    The grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
-    """
+    if sight.connectivity == 4:  # No cell of the rectangle between the two is blocked.
+        (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
+        stride = sight.shape[1] + 1
+        above, below = row * stride, (last_row + 1) * stride
+        return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
+    # No diagonal step in the parallelogram between the two is illegal, and of cells in one line none is blocked. The
+    # grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
     way = q - p
     transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0
@@ -135,18 +125,11 @@ def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"
     )
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
-    until_last = _between(sight, last, column + aside, last_column)
-    return until_last - jnp.where(straight, 0, _between(sight, first, column, last_column - aside))
+    until_first = jnp.where(straight, 0, between(first, column, last_column - aside))
+    return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
-def _between(
-    sight: IllegalSteps, row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]
-) -> Int[Array, "n"]:
-    """What the sums of a row, that begins there, increase by from before a column to the last one."""
-    return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
-
-
-def narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
+def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
     """The same in as few bytes each as do."""
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
@@ -195,9 +178,9 @@ class GridTables:
         return self.sight.connectivity
 
 
-def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int, most_bytes: int = MOST_BYTES) -> GridTables:
-    """The tables of a grid; raises ``TablesTooLarge`` if one of them takes more bytes."""
-    first, corners = taut_corners(free, connectivity, most_bytes)
+def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
+    """The tables of a grid; raises ``ValueError`` if one of them takes too many bytes."""
+    first, corners = taut_corners(free, connectivity)
     # The corners of each cell in blocks, the last of which repeats the cell's last corner.
     counts = np.diff(first)
     num_blocks = -(-counts // BLOCK)
@@ -214,11 +197,11 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int, most_by
     tables = GridTables(
         sight_of(free, connectivity),
         jnp.asarray(group_block, jnp.int32),
-        jnp.asarray(narrow(cell_block)),
+        jnp.asarray(_narrow(cell_block)),
         jnp.asarray(blocks),
         jnp.asarray(row),
         jnp.asarray(column),
-        distances=corner_distances(free, connectivity, most_bytes),
+        distances=corner_distances(free, connectivity),
     )
     # An empty table is read as well, though what is read is not used.
     return jax.tree_util.tree_map(
@@ -244,8 +227,8 @@ def evaluate_pairs(
 ) -> Float[Array, "*batch"]:
     """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
     batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
-    return in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+    (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
 
 
 @jax.jit
@@ -253,7 +236,7 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """As :func:`evaluate_pairs`, with one cell whose distance from each corner is known."""
-    p, inside = cells_of(tables.shape, x.reshape(-1, 2))
+    p, inside = _cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
@@ -264,7 +247,7 @@ def evaluate_to(
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
     lengths = jnp.where(sees(tables.sight, p, q), open_way, around.reshape(-1)[: len(p)])
-    return in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -277,7 +260,7 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     )
 
 
-def cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def _cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
     """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
     place = jnp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
@@ -293,7 +276,7 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of at most so many pairs as are sorted at once."""
+    """As above, of at most as many pairs as are sorted at once."""
     seen = sees(tables.sight, p, q)
     first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
     chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
@@ -340,7 +323,7 @@ def _nearest_to_both(
     count = jnp.where(seen, 0, count)
 
     def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
-        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = _corners_of_block(tables, first, count, block)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = ways.min(axis=1)
         corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
@@ -358,7 +341,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int3
     count = jnp.where(length > 0, count, 0)
 
     def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
-        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = _corners_of_block(tables, first, count, block)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         better = (ways.min(axis=1) < length) & (block < count)
         return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
@@ -441,8 +424,7 @@ def _least_around(
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
-        # Of a cell with fewer blocks its last one, again.
-        corners = looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+        corners = _corners_of_block(tables, first, count, block)
         return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
     far = jnp.full(shape, FAR, jnp.int32)
@@ -459,17 +441,21 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
     return first, end - first
 
 
-def in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
+def _corners_of_block(
+    tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
+) -> Int32[Array, "n 4"]:
+    """The corners of the blocks of one number; of a cell with fewer blocks those of its last one, again."""
+    return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
+
+
+def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
     """Lengths of units in steps, never rounded up; ``inf`` if far, or not inside."""
-    whole, rest = jnp.divmod(length, units(connectivity))
-    part = rest / units(connectivity)
+    whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
+    part = rest / STRAIGHT[connectivity]
     whole = whole.astype(part.dtype)
     steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
     return jnp.where(inside & (length < FAR), steps, jnp.inf)
 
-
-NO_WAY = -1
-"""What stands for cells from which no path leads to the goal."""
 
 _RIM_CELLS_AT_ONCE = 2**13  # cells of rims whose distances are computed together
 _AGENTS = 1024  # whose squares are looked at at once
@@ -485,9 +471,11 @@ _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
-    """Whole steps from each cell of the squares around the cells of positions to those of goals."""
-    (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
-    row, column, on_grid = squares_around(tables.shape, position, radius)
+    """Whole steps from each cell of the squares around the cells of positions to those of goals; -1 without a way."""
+    (goal, goal_inside), (position, inside) = (_cells_of(tables.shape, points) for points in (goals, positions))
+    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
+    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
+    on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
     in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
 
@@ -503,21 +491,9 @@ def distances_around(
     lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
-    reached = _spread_in_parts(tables.connectivity, jnp.where(free, known, FAR), free)
-    return whole_steps(tables.connectivity, reached, free & inside & goal_inside)
-
-
-def squares_around(shape: tuple[int, int], position: Cells, radius: int) -> tuple[Square, Square, Marks]:
-    """Rows and columns of the cells around positions, and which are cells of the grid."""
-    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
-    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
-    return row, column, (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-
-
-def whole_steps(connectivity: int, lengths: Square, answered: Marks) -> Int32[Array, "n width width"]:
-    """Lengths of units in whole steps, agent by agent; -1 where they are far, or not answered."""
-    steps = jnp.where(answered & (lengths < FAR), lengths // units(connectivity), NO_WAY)
-    return jnp.moveaxis(steps, -1, 0)
+    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
+    answered = free & inside & goal_inside & (reached < FAR)
+    return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
 
 def _lengths_of_rim(
@@ -590,19 +566,6 @@ def _asked(
     return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
 
 
-def _spread_in_parts(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
-    """As :func:`_spread`, of as many agents at once as caches hold."""
-    agents = lengths.shape[-1]
-    size = min(_AGENTS, max(agents, 1))
-
-    def parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
-        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
-        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
-
-    done = lax.map(lambda part: _spread(connectivity, *part), (parts(lengths, FAR), parts(free, False)))
-    return jnp.moveaxis(done, 0, 2).reshape(*lengths.shape[:2], -1)[..., :agents]
-
-
 def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
     """Lengths over the squares from where they are known, at least ``FAR`` where no path leads to."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
@@ -626,16 +589,28 @@ def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n
         border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
-    across = free.swapaxes(0, 1)
+    def spread(part: tuple[Square, Bool[Array, "width width n"]]) -> Square:
+        lengths, free = part
 
-    def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
-        best = state[0]
-        for reverse in (False, True):
-            best = swept(best, free, turns, reverse)
-        best = best.swapaxes(0, 1)
-        for reverse in (False, True):
-            best = swept(best, across, (), reverse)
-        best = best.swapaxes(0, 1)
-        return best, (best < state[0]).any()
+        def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
+            best = state[0]
+            for reverse in (False, True):
+                best = swept(best, free, turns, reverse)
+            best = best.swapaxes(0, 1)
+            for reverse in (False, True):
+                best = swept(best, free.swapaxes(0, 1), (), reverse)
+            best = best.swapaxes(0, 1)
+            return best, (best < state[0]).any()
 
-    return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
+        return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
+
+    # As many agents at once as caches hold.
+    agents = lengths.shape[-1]
+    size = min(_AGENTS, max(agents, 1))
+
+    def in_parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
+        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
+        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
+
+    done = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
+    return done.reshape(*lengths.shape[:2], -1)[..., :agents]

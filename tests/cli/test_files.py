@@ -126,12 +126,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
         (["query", points, "--gradient"], "--gradient is for PLRs"),
     ):
         assert message in mistake(*arguments, input="")
-    assert "holds      GridPairs\n" in (told := done("info", grid)) and "landmarks" not in told
-
-
-def test_pairs_that_are_bounds_are_told_to_be(tmp_path):
-    save(construct_grid_pairs(np.random.default_rng(0).random((9, 9)) > 0.3, max_bytes=400), tmp_path / "grid.pairs")
-    assert "distances are bounds" in done("info", tmp_path / "grid.pairs")
+    assert "holds      GridPairs\n" in done("info", grid)
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -32,7 +32,7 @@ FAMILIES = {
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
     "fleets": (),
-    "scale": ("--only", "grids"),
+    "scale": (),
 }
 
 

@@ -9,10 +9,8 @@ from plr_jax._arrays import runs
 from plr_jax.pairs import grid_corners
 from plr_jax.pairs.grid_corners import (
     FAR,
-    MOST_BYTES,
     CornerLabels,
     CornerTable,
-    TablesTooLarge,
     corner_cells,
     corner_distances,
     corners_in_sight,
@@ -23,7 +21,7 @@ from plr_jax.pairs.grid_corners import (
 def lengths(free, connectivity):
     """Distances of all corners, in units."""
     corners = np.arange(np.count_nonzero(corner_cells(free)), dtype=np.int32)
-    found = corner_distances(free, connectivity, MOST_BYTES)
+    found = corner_distances(free, connectivity)
     return np.asarray(found.between(jnp.asarray(corners)[:, None], jnp.asarray(corners)[None]))
 
 
@@ -49,7 +47,7 @@ def test_distances_of_corners_are_those_of_a_search(connectivity):
 def test_centers_are_near_and_differences_small(connectivity):
     long = np.pad(np.concatenate([BLOCK, BLOCK]), ((0, 0), (0, 300)), constant_values=True)
     long[2, 300] = False
-    found = corner_distances(long, connectivity, MOST_BYTES)
+    found = corner_distances(long, connectivity)
     assert isinstance(found, CornerTable)
     assert found.differences.dtype == (np.int8 if connectivity == 4 else np.int16)
     assert 2 <= len(found.between_centers) < len(found.center)
@@ -63,7 +61,7 @@ def test_paths_that_are_too_long_are_refused():
     assert lengths(long, 4).max() > 2**20
     for free in (long, np.ones((1, 2**20), bool)):
         with pytest.raises(ValueError, match="are too long"):
-            corner_distances(free, 8, MOST_BYTES)
+            corner_distances(free, 8)
 
 
 def test_a_corner_of_a_long_corridor_has_few_ancestors(monkeypatch):
@@ -75,18 +73,17 @@ def test_a_corner_of_a_long_corridor_has_few_ancestors(monkeypatch):
             spiral[row, column] = True
             row, column = row + down, column + right
         length += 2 * (turn % 2)
-    found = corner_distances(spiral, 4, MOST_BYTES)
+    found = corner_distances(spiral, 4)
     assert isinstance(found, CornerLabels) and len(found.first) > 100
     assert len(found.ancestor) < 12 * len(found.first)
 
 
 def test_tables_that_take_too_much_are_refused_before_they_are_made(kept, monkeypatch):
     free = np.random.default_rng(0).random((30, 30)) > 0.2
-    with pytest.raises(TablesTooLarge, match="exact tables of 1,000 bytes"):
-        corner_distances(free, 4, 1000)
-    monkeypatch.setattr(grid_corners, "_MOST_WORK", 100)
-    with pytest.raises(TablesTooLarge, match="give max_bytes"):
-        corner_distances(free, 4, MOST_BYTES)
+    for limit, most in (("_MOST_BYTES", 1000), ("_MOST_WORK", 100)):
+        with monkeypatch.context() as patch, pytest.raises(ValueError, match="too many corners for tables"):
+            patch.setattr(grid_corners, limit, most)
+            corner_distances(free, 4)
 
 
 BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
@@ -95,7 +92,7 @@ BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
 def lists(free, connectivity):
     """Row and column of the taut corners of each cell."""
     places = np.argwhere(corner_cells(free))
-    first, corners = taut_corners(free, connectivity, MOST_BYTES)
+    first, corners = taut_corners(free, connectivity)
     cell, _ = runs(np.diff(first))
     found = {}
     for one, corner in zip(cell.tolist(), corners, strict=True):

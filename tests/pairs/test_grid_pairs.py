@@ -1,6 +1,9 @@
 """Pairs of the cells of a grid: exact, never above the truth, and a file of a few bytes that gives them back."""
 
+import ctypes
+import shutil
 import struct
+import subprocess
 import zlib
 from typing import Any, cast
 
@@ -12,8 +15,10 @@ from grid_helpers import all_pairs, drawn, mosaic, pairs_of_tiles
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments._c_headers import STRICT, compiled_library
 from plr_jax import GridGraph, GridPairs, construct_grid_pairs, load, save, scenes
 from plr_jax._types import BoundingFn, DimensionedFn
+from plr_jax.pairs import grid_corners
 from plr_jax.pairs.grid_pairs import decode_grid, encode_grid
 
 ROOMS = drawn(".......#", ".##....#", ".##.##..", "....##..", "##......", "...##.#.", ".#.##.##", ".#....#.")
@@ -118,67 +123,7 @@ def test_files_answer_alike(rooms, pairs, answers, tmp_path):
         load(tmp_path / "cut")
 
 
-def test_a_budget_is_kept_exactly_or_by_bounds_or_refused(rooms, pairs):
-    size = pairs.resident_bytes
-    assert construct_grid_pairs(rooms, max_bytes=size).to_bytes() == pairs.to_bytes()
-    assert pairs.num_landmarks == 0 < pairs.num_corners
-    bounded = construct_grid_pairs(rooms, max_bytes=size - 1)
-    assert bounded.resident_bytes < size and bounded.num_landmarks > 0 == bounded.num_corners
-    with pytest.raises(ValueError, match=r"max_bytes must be at least 142 .*got 100"):
-        construct_grid_pairs(rooms, max_bytes=100)
-    with pytest.raises(ValueError, match=r"max_bytes must be at least .* for this grid, got 3"):
-        construct_grid_pairs(drawn("##"), max_bytes=3)
-    least = construct_grid_pairs(np.ones((9, 9), bool)).resident_bytes  # less than one landmark takes
-    with pytest.raises(ValueError, match=rf"max_bytes must be at least {least} for this grid, got {least - 1}"):
-        construct_grid_pairs(np.ones((9, 9), bool), max_bytes=least - 1)
-
-
-def test_no_table_is_larger_than_those_that_files_are_read_to_have(rooms, monkeypatch):
-    monkeypatch.setattr("plr_jax.pairs.grid_pairs.MOST_BYTES", 100)
-    assert construct_grid_pairs(rooms, max_bytes=10**30).num_landmarks > 0
-
-
-@pytest.fixture(scope="module")
-def bounded(rooms):
-    return construct_grid_pairs(rooms, max_bytes=400)
-
-
-def test_bounds_of_few_bytes_hold_and_tell_what_no_path_joins(rooms, bounded):
-    truth = rooms.between(X, Y)
-    lower, upper = (np.asarray(bound, np.float64) for bound in bounded.bounds(X, Y))
-    np.testing.assert_array_equal(lower, bounded(X, Y))
-    np.testing.assert_array_equal(lower, bounded(Y, X))
-    assert (lower <= truth).all() and (truth <= upper).all()
-    np.testing.assert_array_equal(np.isinf([lower, upper]), [np.isinf(truth)] * 2)
-    across, down = abs(X - Y).T
-    manhattan = (
-        across + down if rooms.connectivity == 4 else abs(across - down) + np.sqrt(2) * np.minimum(across, down)
-    )
-    joined = np.isfinite(truth)
-    assert (lower >= manhattan * (1 - 1e-6))[joined].all() and (lower > manhattan + 1)[joined].any()
-
-
-def test_bounds_answer_alike_everywhere(bounded, tmp_path):
-    answers = np.asarray(bounded(X, Y))
-    save(bounded, tmp_path / "rooms.pairs")
-    loaded = load(tmp_path / "rooms.pairs")
-    assert isinstance(loaded, GridPairs) and loaded.to_bytes() == bounded.to_bytes() and "landmarks" in repr(loaded)
-    np.testing.assert_array_equal(loaded(X, Y), answers)
-    np.testing.assert_array_equal(jax.jit(lambda pairs, x, y: pairs(x, y))(bounded, X, Y), answers)
-    goal, cells = np.array([3, 3]), np.argwhere(np.ones_like(ROOMS))[:, ::-1]
-    to_goal = np.asarray(bounded.to(goal)(cells))
-    np.testing.assert_array_equal(to_goal, bounded(cells, goal))
-    window = np.asarray(bounded.window([goal + 0.5, goal], [[3, 3], [-1, 0]], 9))
-    square = np.where(np.isinf(to_goal), -1, np.floor(to_goal)).reshape(8, 8)
-    np.testing.assert_array_equal(window[0], np.pad(square, ((6, 5), (6, 5)), constant_values=-1))
-    assert (window[1] == -1).all()
-    with jax.enable_x64(True):
-        assert bounded.window([goal], [goal], 1).dtype == jnp.int32
-    with pytest.raises(ValueError, match="C is written of exact distances"):
-        bounded.c_header("rooms")
-
-
-TEXT, TYPE = cast(Any, "here"), cast(Any, 3)
+TEXT = cast(Any, "here")
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -192,11 +137,6 @@ TEXT, TYPE = cast(Any, "here"), cast(Any, 3)
         (lambda pairs: pairs(jnp.zeros(2, complex), jnp.zeros(2)), "real"),
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
         (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
-        (lambda pairs: construct_grid_pairs(GridGraph(ROOMS), max_bytes=0), "max_bytes must be an integer >= 1"),
-        (
-            lambda pairs: construct_grid_pairs(GridGraph(ROOMS), checkpoint=TYPE),
-            "checkpoint must be the path of a file",
-        ),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],
 )
@@ -208,10 +148,9 @@ def test_bad_input_is_refused(pairs, call, message):
 @given(st.integers(1, 12), st.integers(1, 12), st.floats(0, 1), st.sampled_from([4, 8]))
 def test_what_is_written_is_read(rows, columns, share, connectivity):
     free = np.random.default_rng(rows + columns).random((rows, columns)) < share
-    for num_landmarks in (0, 7 * int(free.any())):
-        found, *rest = decode_grid(encode_grid(free, connectivity, num_landmarks))
-        np.testing.assert_array_equal(found, free)
-        assert rest == [connectivity, num_landmarks]
+    found, again = decode_grid(encode_grid(free, connectivity))
+    np.testing.assert_array_equal(found, free)
+    assert again == connectivity
 
 
 def test_layout():
@@ -220,8 +159,6 @@ def test_layout():
     bits = [0, 1] + [0] * 30 + [0] * 5 + [1] + [0, 1] + [0]
     body = np.packbits(bits, bitorder="little").tobytes()
     assert data[:-4] == b"PGP\n" + struct.pack("<BBIII", 1, 8, 3, 1, len(data)) + body
-    bounded = encode_grid(np.array([[True], [True], [False]]), 8, 5)
-    assert bounded[:-4] == b"PGP\n" + struct.pack("<BBIIII", 2, 8, 3, 1, len(data) + 4, 5) + body
 
 
 def test_no_file_is_larger_than_the_bound():
@@ -241,11 +178,7 @@ def sealed(data):
         (lambda d: b"", "does not start like"),
         (lambda d: b"PLR\n" + d[4:], "does not start like"),
         (lambda d: d[:20], "end too early"),
-        (lambda d: d[:4] + b"\3" + d[5:], "format version 3"),
-        (lambda d: sealed(d[:4] + b"\2" + d[5:18] + bytes(4) + d[18:]), "states 0 landmarks"),
-        (lambda d: sealed(d[:4] + b"\2" + d[5:18] + d[-4:]), "end too early"),
-        (lambda d: encode_grid(np.zeros((9, 14), bool), 4, 1), "states 1 landmarks of 0 free cells"),
-        (lambda d: encode_grid(np.ones((2048, 2048), bool), 4, 1024), "1024 landmarks of 4194304 free cells"),
+        (lambda d: d[:4] + b"\2" + d[5:], "format version 2"),
         (lambda d: d[:-1], "truncated"),
         (lambda d: d + b"\0", "its header states"),
         (lambda d: d[:-6] + bytes([d[-6] ^ 1]) + d[-5:], "checksum"),
@@ -261,3 +194,92 @@ def sealed(data):
 def test_damaged_files_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         decode_grid(change(encode_grid(np.random.default_rng(0).random((9, 14)) > 0.3, 4)))
+
+
+# --- headers of C: they compile without a warning, as C99 and as C++ -------------------------------------------
+
+compiles_c = pytest.mark.skipif(shutil.which("cc") is None, reason="headers are compiled by a C compiler called cc")
+ISLANDS = np.indices((9, 12)).sum(axis=0) % 2 == 0
+
+
+def compiled(pairs, folder):
+    """The functions of a header, with its table open."""
+    header = pairs.c_header("here")
+    (folder / "here.h").write_text(header.text)
+    signatures = {
+        "many": (
+            "void",
+            "const uint32_t *a, const uint32_t *b, int32_t *s, size_t n",
+            "here_steps_of_pairs(a, b, s, n)",
+        ),
+        "opened": ("int", "const void *data, size_t size", "return here_open(data, size)"),
+        "checked": ("int", "void", "return here_check()"),
+        "units": ("int32_t", "uint32_t a, uint32_t b", "return here_units(a, b)"),
+    }
+    code = ['#include "here.h"']
+    for name, (of, arguments, call) in signatures.items():
+        code += [f"{of} {name}({arguments});", f"{of} {name}({arguments}) {{ {call}; }}"]
+    return compiled_library("\n".join(code) + "\n", folder), header
+
+
+def opened(library, data):
+    """Whether a table is taken, at an address that 64 divides."""
+    room = np.zeros(len(data) + 64, np.uint8)
+    begin = -room.ctypes.data % 64
+    room[begin : begin + len(data)] = np.frombuffer(data, np.uint8)
+    pointer = ctypes.c_void_p(room[begin:].ctypes.data)
+    return library.opened(pointer, ctypes.c_size_t(len(data))), room
+
+
+def answered(library, start, end):
+    steps = np.empty(len(start), np.int32)
+    pointers = [ctypes.c_void_p(one.ctypes.data) for one in (start, end, steps)]
+    library.many(*pointers, ctypes.c_size_t(len(steps)))
+    return steps
+
+
+@compiles_c
+@pytest.mark.parametrize("connectivity", [4, 8])
+@pytest.mark.parametrize(
+    "free", [mosaic(0, 2, 11), ISLANDS, drawn("."), drawn("##")], ids=["mosaic", "islands", "one", "none"]
+)
+def test_answers_of_headers_are_those_of_python(free, connectivity, tmp_path):
+    pairs = construct_grid_pairs(GridGraph(free, connectivity=connectivity))
+    library, header = compiled(pairs, tmp_path)
+    is_open, room = opened(library, header.table)
+    assert is_open == 1 and library.checked() == 1
+    x, y = all_pairs(np.ones_like(free))
+    start, end = ((points[:, 1] * free.shape[1] + points[:, 0]).astype(np.uint32) for points in (x, y))
+    found = answered(library, start, end)
+    expected = np.asarray(pairs.window(y, x, 0))[:, 0, 0]
+    np.testing.assert_array_equal(found, expected)
+    outside = np.array([free.size, 2**32 - 1], np.uint32)
+    assert (answered(library, outside, start[[0, 0]]) == -1).all() and (
+        answered(library, start[[0, 0]], outside) == -1
+    ).all()
+    del room
+
+
+@compiles_c
+def test_labels_of_many_corners_are_read_as_well(tmp_path, monkeypatch):
+    monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
+    test_answers_of_headers_are_those_of_python(mosaic(3, 2, 9), 8, tmp_path)
+
+
+@compiles_c
+def test_other_tables_are_refused_and_headers_are_valid_c_plus_plus(tmp_path):
+    pairs = [construct_grid_pairs(GridGraph(mosaic(seed, 2, 8))) for seed in range(2)]
+    library, header = compiled(pairs[0], tmp_path)
+    assert opened(library, pairs[1].c_header("here").table)[0] == 0
+    assert opened(library, header.table[:-1])[0] == 0 and opened(library, b"x" + header.table[1:])[0] == 0
+    damaged = header.table[:100] + bytes([header.table[100] ^ 1]) + header.table[101:]
+    taken, room = opened(library, damaged)
+    assert taken == 1 and library.checked() == 0
+    del room
+    if (plus := shutil.which("c++")) is not None:
+        (tmp_path / "a.cpp").write_text(
+            '#include "here.h"\n#include "here.h"\nint main() { return here_steps(0, 1); }\n'
+        )
+        subprocess.run([plus, *STRICT, "-Wno-unused-function", "-fsyntax-only", tmp_path / "a.cpp"], check=True)
+    with pytest.raises(ValueError, match="identifier of C"):
+        pairs[0].c_header("1")

@@ -10,7 +10,7 @@ from grid_helpers import drawn, legal, mosaic, pairs_of_tiles
 
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax._arrays import runs
-from plr_jax.pairs.grid_corners import MOST_BYTES, taut_corners
+from plr_jax.pairs.grid_corners import taut_corners
 from plr_jax.pairs.grid_query import BLOCK, sees, sight_of, tables_of
 
 
@@ -48,7 +48,7 @@ def test_cells_see_each_other_if_every_open_path_is_legal(connectivity):
 def test_blocks_of_a_cell_hold_its_corners(connectivity):
     free = np.random.default_rng(0).random((20, 30)) > 0.2
     tables = tables_of(free, connectivity)
-    first, corners = taut_corners(free, connectivity, MOST_BYTES)
+    first, corners = taut_corners(free, connectivity)
     begin = np.asarray(tables.group_block)[np.arange(free.size + 1) // 16] + np.asarray(tables.cell_block)
     cell, place = runs(np.diff(first))
     blocks = np.asarray(tables.blocks)
@@ -69,7 +69,7 @@ def test_cells_with_more_corners_than_a_word_has_bits(connectivity):
         np.repeat(cells[rng.integers(len(cells), size=30)], 500, axis=0),
         cells[rng.integers(len(cells), size=15_000)],
     )
-    assert np.diff(taut_corners(free, connectivity, MOST_BYTES)[0]).max() > 32 * BLOCK
+    assert np.diff(taut_corners(free, connectivity)[0]).max() > 32 * BLOCK
     np.testing.assert_allclose(construct_grid_pairs(graph)(x, y), graph.between(x, y), rtol=1e-6)
 
 
