@@ -38,9 +38,9 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.frame import Frame, frame_of
-from plr_jax.plr.portable.arithmetic import CodedTree, partitioned_axes
+from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, place_along
 from plr_jax.plr.portable.javascript import js_file_reader
-from plr_jax.plr.portable.numpy import ARRAYS, LeafTable, as_float_points
+from plr_jax.plr.portable.numpy import LeafTable, as_float_points
 from plr_jax.plr.portable.writers import ends_of
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
@@ -143,10 +143,10 @@ class NumpyPairs:
         """Of what a file holds."""
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
         self.domain, self._middle = domain, middle
-        frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
-        self._axes, self._ends = partitioned_axes(frame), frame[Frame.HI]
+        self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
+        self._ends = self._frame[Frame.HI]
         count, corners = len(stored.cells), len(stored.corner)
-        self._leaves = LeafTable.of(CodedTree.of(stored.levels, 2, np.arange(count)))
+        self._leaves = LeafTable(CodedTree(stored.levels, 2, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[runs(lengths)] = stored.listed
@@ -246,7 +246,8 @@ class NumpyPairs:
         self, around: Scene, p: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
         """The corners that points' leaves list, and how far they are."""
-        places = [axis.place(ARRAYS, axis.above(along)) for axis, along in zip(self._axes, p.T, strict=True)]
+        above = p.T - self._frame[Frame.LO][:, None]
+        places = [place_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
         return listed, _length(p[:, None] - around.corners[listed].astype(np.float32))
 

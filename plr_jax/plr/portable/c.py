@@ -2,14 +2,25 @@
 
 import numpy as np
 
-from plr_jax.plr.portable.arithmetic import Program
-from plr_jax.plr.portable.writers import BracedWriter, Code, Text, ends_of, filled_lines, indented, require_identifier
+from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
+from plr_jax.plr.portable.writers import (
+    Text,
+    Writer,
+    ends_of,
+    filled_lines,
+    indented,
+    is_nan,
+    require_identifier,
+    write_lookup,
+)
 
 
-class CWriter(BracedWriter):
+class CWriter(Writer):
     """Of C99."""
 
     root_of, cast = "sqrtf({})", "(float)({})"
+    definition = "const {type} {name} = {value};"
 
     def __init__(self, name: str) -> None:
         """With a name with which those of its functions begin."""
@@ -22,10 +33,6 @@ class CWriter(BracedWriter):
         if np.isinf(number):
             return "INFINITY" if number > 0 else "-INFINITY"
         return str(number) + ("f" if number.dtype == np.float32 else "")
-
-    def definition(self, name: str, value: Text) -> str:
-        """A constant."""
-        return f"const {value.type} {name} = {value};"
 
     def floor(self, x: Text) -> Text:
         """By a function of the program, there is one for each type."""
@@ -44,165 +51,124 @@ _WHY = {
 }
 
 
-class CHeader(Code[CWriter]):
-    """The parts of a header of a PLR; ``ValueError`` if its name is no identifier of C."""
+def c_header(program: Program, name: str) -> str:
+    """The header of a PLR: see :meth:`PLR.c_header`; ``ValueError`` if its name is no identifier of C."""
+    require_identifier(name)
+    dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
+    rows, row_of_leaf = distinct_rows(program.numbers)
+    tree = CodedTree(program.contents.levels, dim, row_of_leaf)
+    has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, SourcedLeafModel), leaf.is_of_cells
 
-    def __init__(self, program: Program, name: str):
-        require_identifier(name)
-        super().__init__(program, "float" if program.corner is None else "double", program.numbers_of_leaves)
-        self.name = name
-        self.helpers: set[str] = set()
+    # 1. What the header is, and what it includes.
+    guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
+    # Several times the file, whose integers have few bits.
+    table_bytes = 4 * rows.size + tree.code_type.itemsize * tree.children.size
+    waypoint = f"   {name}_waypoint: where to go straight to from a point; NaN outside the domain."
+    introduction = [
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        f"/* The distance to a goal, by plr_jax: {len(row_of_leaf)} leaves of kind {leaf.name!r}.",
+        "",
+        f"   {name}_distance: distance from a point {ends_of(program.domain)};",
+        "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
+        *([waypoint] * is_sourced),
+        f"   Coordinates are {of_type}: {_WHY[of_type]}.",
+        f"   Compiled, its tables take {table_bytes:,} bytes, beside a few hundred of code.",
+        "",
+        "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
+        "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
+        "",
+        "#include <float.h>",
+        "#include <math.h>",
+        "#include <stdint.h>",
+        "",
+        "#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0",
+        '#error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"',
+        "#endif",
+        "#if defined(__clang__)",
+        "#pragma STDC FP_CONTRACT OFF",
+        "#endif",
+        "",
+    ]
 
-    def writer(self) -> CWriter:
-        """One whose functions' names begin with that of the header."""
-        return CWriter(self.name)
-
-    def text(self) -> str:
-        """The header."""
-        return "\n".join([*self.introduction(), *self.tables(), *self.functions(), "#endif", ""])
-
-    def introduction(self) -> list[str]:
-        """What the header is, and what it includes."""
-        program, name = self.program, self.name
-        guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
-        # Several times the file, whose integers have few bits.
-        table_bytes = 4 * self.rows.size + self.tree.code_type.itemsize * self.tree.children.size
-        waypoint = f"   {name}_waypoint: where to go straight to from a point; NaN outside the domain.\n"
-        return [
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
-            "",
-            f"   {name}_distance: distance from a point {ends_of(program.domain)};",
-            "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
-            *(waypoint.splitlines() if self.is_sourced else []),
-            f"   Coordinates are {self.type}: {_WHY[self.type]}.",
-            f"   Compiled, its tables take {table_bytes:,} bytes, beside a few hundred of code.",
-            "",
-            "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
-            "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
-            "",
-            "#include <float.h>",
-            "#include <math.h>",
-            "#include <stdint.h>",
-            "",
-            "#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0",
-            '#error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"',
-            "#endif",
-            "#if defined(__clang__)",
-            "#pragma STDC FP_CONTRACT OFF",
-            "#endif",
-            "",
-        ]
-
-    def tables(self) -> list[str]:
-        """The tree, and the numbers of the leaves."""
-        name, tree, count = self.name, self.tree, self.rows.shape[1]
-        lines = []
-        if self.has_tree:
-            lines += [
-                "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
-                f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}. */",
-                f"static const {tree.code_type}_t {name}_tree[{len(tree.children)}][2] = {{",
-                *filled_lines(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
-                "};",
-                "",
-            ]
-        literal = CWriter(name).literal
-        return [
-            *lines,
-            f"static const float {name}_numbers[{len(self.rows)}][{count}] = {{",
-            *filled_lines("{" + ", ".join(map(literal, row)) + "}" for row in self.rows),
+    # 2. The tree, and the numbers of the leaves.
+    tables, literal = [], CWriter(name).literal
+    if has_tree:
+        tables += [
+            "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
+            f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {dim}. */",
+            f"static const {tree.code_type}_t {name}_tree[{len(tree.children)}][2] = {{",
+            *filled_lines(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
             "};",
             "",
         ]
+    tables += [
+        f"static const float {name}_numbers[{len(rows)}][{rows.shape[1]}] = {{",
+        *filled_lines("{" + ", ".join(map(literal, row)) + "}" for row in rows),
+        "};",
+        "",
+    ]
 
-    def functions(self) -> list[str]:
-        """The functions."""
-        distance = self._distance()
-        waypoint = self._waypoint() if self.is_sourced else []
-        return [*self._floors(), *self._descent(), *distance, *waypoint]  # which floors, their bodies say
+    # 3. From places to the leaf's row.
+    mask = (1 << tree.kind_bits) - 1
+    descent = [
+        "/* Down the tree: each split takes the next bit of the place along its axis. */",
+        f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
+        "{",
+        f"    uint32_t code = {tree.root}u;",
+        f"    while ((code & {mask}u) != {dim}u) {{",
+        f"        const uint32_t axis = code & {mask}u;",
+        "        const uint32_t upper = place[axis] >> 31;",
+        "        place[axis] <<= 1;",
+        *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
+        f"        code = {name}_tree[code >> {tree.kind_bits}][upper];",
+        "    }",
+        f"    return code >> {tree.kind_bits};",
+        "}",
+        "",
+    ]
 
-    def _descent(self) -> list[str]:
-        """From places to the leaf's row."""
-        tree, name, dim = self.tree, self.name, self.program.dim
-        if not self.has_tree:
-            return []
-        of_cells = self.program.leaf.is_of_cells
-        mask = (1 << tree.kind_bits) - 1
-        return [
-            "/* Down the tree: each split takes the next bit of the place along its axis. */",
-            f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
-            "{",
-            f"    uint32_t code = {self.tree.root}u;",
-            f"    while ((code & {mask}u) != {dim}u) {{",
-            f"        const uint32_t axis = code & {mask}u;",
-            "        const uint32_t upper = place[axis] >> 31;",
-            "        place[axis] <<= 1;",
-            *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
-            f"        code = {name}_tree[code >> {tree.kind_bits}][upper];",
-            "    }",
-            f"    return code >> {tree.kind_bits};",
-            "}",
-            "",
-        ]
-
-    def _distance(self) -> list[str]:
-        """The function that answers a distance."""
-        do, value = self.distance("NAN", "INFINITY")
-        do.statements.append(f"return {value};")
-        return self._function(do, f"float {self.name}_distance(const {self.type} x[{self.program.dim}])")
-
-    def _waypoint(self) -> list[str]:
-        """The function that gives a waypoint."""
-        dim = self.program.dim
-        nowhere = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
-        do, waypoint = self.waypoint(nowhere)
-        do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(waypoint)]
-        return self._function(
-            do, f"void {self.name}_waypoint(const {self.type} x[{dim}], {self.type} waypoint[{dim}])"
-        )
-
-    def read_leaf(self, do: CWriter, places: list[Text]) -> list[Text]:
-        """The row of the leaf's numbers, to which the places lead down the tree."""
-        name, dim, row = self.name, self.program.dim, "0"
-        if self.has_tree:
+    def read_leaf(do: CWriter, places: list[Text]) -> list[Text]:
+        """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
+        row, counts = "0", ["1.0f", "0.0f"] * dim
+        if has_tree:
             do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, places))}}};")
-            if self.program.leaf.is_of_cells:  # how many cells there are, and which it is
+            if of_cells:  # how many cells there are, and which it is
                 do.statements.append(f"uint32_t cell[{dim}][2] = {{{', '.join(['{1, 0}'] * dim)}}};")
-            row = f"{name}_leaf(place{', cell' * self.program.leaf.is_of_cells})"
+            row = f"{name}_leaf(place{', cell' * of_cells})"
+            counts = [f"(float)cell[{axis}][{i}]" for axis in range(dim) for i in range(2)]
         do.statements.append(f"const float *const n = {name}_numbers[{row}];")
-        return [do.atom(f"n[{i}]") for i in range(self.rows.shape[1])]
+        return [do.atom(text) for text in [*counts * of_cells, *(f"n[{i}]" for i in range(rows.shape[1]))]]
 
-    def cells(self, do: CWriter) -> list[tuple[Text, Text]]:
-        """Counted on the way down the tree."""
-        is_split = self.has_tree
-        return [
-            (do.atom(count), do.atom(position))
-            for count, position in (
-                (f"(float)cell[{axis}][{i}]" if is_split else f"{1 - i}.0f" for i in range(2))
-                for axis in range(self.program.dim)
-            )
-        ]
+    # 4. The functions.
+    do = CWriter(name)
+    outside = [f"return {is_nan(dim)} ? NAN : INFINITY;"]
+    above, numbers = write_lookup(do, program, of_type, read_leaf, outside)
+    do.statements.append(f"return {program.value(do, above, numbers)};")
+    functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
+    functions += ["{", *indented(do.used_statements()), "}", ""]
+    floors = do.floors
+    if is_sourced:
+        do = CWriter(name)
+        outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
+        _, numbers = write_lookup(do, program, of_type, read_leaf, outside)
+        do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
+        functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
+        functions += ["{", *indented(do.used_statements()), "}", ""]
 
-    def _function(self, do: CWriter, signature: str) -> list[str]:
-        self.helpers |= do.floors
-        return [f"static inline {signature}", "{", *indented(do.used_statements()), "}", ""]
-
-    def _floors(self) -> list[str]:
-        """The floor of each type that is needed: NaN, and whole numbers beyond the bits of a mantissa, stay."""
-        lines = []
-        for of_type, whole, digits, one in _FLOORS:
-            if of_type in self.helpers:
-                lines += [
-                    f"static inline {of_type} {self.name}_floor_of_{of_type}({of_type} v)",
-                    "{",
-                    f"    if (!(v < {digits} && v > -{digits})) {{",
-                    "        return v;",
-                    "    }",
-                    f"    const {of_type} toward_zero = ({of_type})({whole})v;",
-                    f"    return toward_zero > v ? toward_zero - {one} : toward_zero;",
-                    "}",
-                    "",
-                ]
-        return lines
+    # 5. The floor of each type that they need: NaN, and whole numbers beyond the bits of a mantissa, stay.
+    helpers = []
+    for of_type, whole, digits, one in _FLOORS:
+        if of_type in floors | do.floors:
+            helpers += [
+                f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)",
+                "{",
+                f"    if (!(v < {digits} && v > -{digits})) {{",
+                "        return v;",
+                "    }",
+                f"    const {of_type} toward_zero = ({of_type})({whole})v;",
+                f"    return toward_zero > v ? toward_zero - {one} : toward_zero;",
+                "}",
+                "",
+            ]
+    return "\n".join([*introduction, *tables, *helpers, *descent * has_tree, *functions, "#endif", ""])

@@ -1,38 +1,39 @@
 """A PLR as a module of JavaScript, by the same arithmetic as the header of C."""
 
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
+from plr_jax.plr.frame import Frame
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.portable.arithmetic import Operations, PartitionedAxis, Point, Program, Value, Window
-from plr_jax.plr.portable.writers import BracedWriter, Code, Text, ends_of, filled_lines, indented
+from plr_jax.plr.leaves.base import SourcedLeafModel, as_sourced
+from plr_jax.plr.portable.arithmetic import CodedTree, Program, Value, distinct_rows
+from plr_jax.plr.portable.writers import (
+    Text,
+    Writer,
+    ends_of,
+    filled_lines,
+    indented,
+    is_nan,
+    write_lookup,
+)
 from plr_jax.plr.tree import Cells, levels_of
 
 
-class JavaScriptWriter(BracedWriter):
+class JavaScriptWriter(Writer):
     """Of JavaScript, whose numbers have 64 bits: ``f`` rounds each operation to 32."""
 
-    root_of, cast = "f(Math.sqrt({}))", "f({})"
-
-    def rounded_to_type(self, value: Text) -> Text:
-        """In 32 bits, where it is of such a type."""
-        return self.rounded(value) if value.type == "float" else value
+    root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
+    definition = "const {name} = {value};"
 
     def literal(self, number: np.floating) -> str:
         """The shortest decimal of the number in 64 bits."""
         return _decimal(float(number))
-
-    def definition(self, name: str, value: Text) -> str:
-        """A constant."""
-        return f"const {name} = {value};"
 
     def floor(self, x: Text) -> Text:
         """Exact in both precisions."""
@@ -44,39 +45,31 @@ class JavaScriptWriter(BracedWriter):
 
 
 _TABLE_BITS = 14  # of a table that fits a core's first-level cache, or nearly so
-_FRAME = ("lo", "hi", "scale", "start", "top")
-NAMED_NUMBERS = "const " + ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in _FRAME) + ";"
-"""The statement of JavaScript that names the numbers of a domain that ``frameOf`` of ``file.js`` gives."""
-
-
-def tables_axes(do: JavaScriptWriter) -> list[PartitionedAxis]:
-    """The axes of a domain in the plane whose numbers have the names that :data:`NAMED_NUMBERS` gives them."""
-    names = ("lo", "scale", "start", "top")
-    return [PartitionedAxis(*(do.atom(f"{name}{axis}") for name in names)) for axis in range(2)]
 
 
 class _OfTables(Program):
     """A query of any cones in the plane: what it computes with has names, as ``readCones`` of ``file.js`` has it."""
 
-    @cached_property
-    def axes(self) -> list[PartitionedAxis]:
-        return tables_axes(JavaScriptWriter())
+    def __init__(self) -> None:
+        domain, halves, leaf = (
+            Box((0, 0), (1, 1)),
+            Cells.root(2).split(np.zeros(1, int)),
+            as_sourced(leaf_model("cone")),
+        )
+        goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
+        cells, stored = leaf.of_sources(domain, halves, np.zeros(2, int), goal)  # any, of more than one leaf
+        super().__init__(Contents(domain, leaf, levels_of(cells)[0], cells, stored))
 
-    @cached_property
-    def windows(self) -> list[Window]:
-        do = JavaScriptWriter()
-        return [Window(do.atom(f"lo{axis}"), do.atom(f"hi{axis}")) for axis in range(2)]
+        def named(name: str, of_type: str = "float") -> list[Text]:
+            return [JavaScriptWriter().atom(f"{name}{axis}", of_type) for axis in range(2)]
 
-    def _counted(self, do: Operations, x: Point, axis: int) -> Value:
-        return do.let("counted", do.rounded(x[axis] - _origin(axis)))
+        self.frame = [named(row.name.lower()) for row in Frame]
+        self.window = [self.frame[Frame.LO], self.frame[Frame.HI]]
+        self.corner = named("origin", "double")
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
-        from_corner = zip(self.axes, as_sourced(self.leaf).source_of(numbers), strict=True)
-        return [_origin(axis) + (grid.lo + along) for axis, (grid, along) in enumerate(from_corner)]
-
-
-def _origin(axis: int) -> Text:
-    return JavaScriptWriter().atom(f"origin{axis}", "double")
+        source, corner = as_sourced(self.leaf).source_of(numbers), self.frame[Frame.LO]
+        return [origin + (lo + along) for origin, lo, along in zip(self.corner, corner, source, strict=True)]
 
 
 def js_file_reader() -> str:
@@ -86,13 +79,13 @@ def js_file_reader() -> str:
 
 def js_cone_reader() -> str:
     """A function of JavaScript that makes a reader of what ``readCones`` of ``file.js`` gives."""
-    halves = Cells.root(2).split(np.zeros(1, int))  # any, of more than one leaf
-    contents = Contents(Box((0, 0), (1, 1)), leaf_model("cone"), levels_of(halves)[0], halves, None)
-    program = _OfTables(contents, contents.domain, np.zeros(2), contents.domain, np.zeros((2, 3), np.float32))
+    names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
+    program, rows = _OfTables(), np.zeros((2, 5), np.float32)
+    tree = CodedTree(program.contents.levels, 2, np.zeros(2, int))
     lines = [
-        NAMED_NUMBERS,
+        f"const {names};",
         "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _Module(program, np.zeros((2, 1))).functions()),
+        *(line.removeprefix("export ") for line in _functions(program, tree, rows.shape[1], True)),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(function("function coneReader(tables)", lines))
@@ -100,154 +93,137 @@ def js_cone_reader() -> str:
 
 def js_module(program: Program) -> str:
     """The module of a PLR: see :meth:`PLR.js_module`."""
-    certificate = program.contents.certificate
-    module = _Module(program, None if certificate is None else certificate.bounds())
-    return "\n".join([*module.introduction(), *module.tables(), *module.functions()])
+    dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.numbers
+    if certificate is not None:  # what is to be added to values for lower and upper bounds
+        both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
+        columns = np.column_stack([columns, both])
+    rows, row_of_leaf = distinct_rows(columns)
+    tree = CodedTree(program.contents.levels, dim, row_of_leaf)
+
+    # 1. What the module is, in a comment.
+    names = f"[{', '.join(f'x{axis}' if dim > 3 else 'xyz'[axis] for axis in range(dim))}]"
+    waypoint = f"// waypoint({names}): where to go straight to from a point; NaN outside the domain."
+    bounds = f"// bounds({names}): proven bounds of the distance where the goal can be reached, [lower, upper]."
+    lines = [
+        f"// The distance to a goal, by plr_jax: {len(row_of_leaf)} leaves of kind {leaf.name!r}.",
+        "//",
+        f"// distance({names}): distance from a point {ends_of(program.domain)};",
+        "// Infinity outside this closed domain, NaN where a coordinate is. It knows no obstacles.",
+        *([waypoint] * isinstance(leaf, SourcedLeafModel)),
+        *([bounds] * (certificate is not None)),
+        "// Answers are those of plr.numpy() to points of 64 bits, bit for bit.",
+        "",
+    ]
+    # 2. The tree, and the numbers of the leaves.
+    lines += [ROUNDED, *([BESIDE] * (certificate is not None))]
+    if len(tree.children):
+        lines += [
+            "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
+            f"// here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {dim}.",
+            f"const tree = new Uint{8 * tree.code_type.itemsize}Array([",
+            *filled_lines(map(str, tree.children.ravel().tolist())),
+            "]);",
+            f"const root = {tree.root};",
+            f"const place = new Uint32Array({dim});",
+            *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_of_cells),
+        ]
+    lines += [
+        f"const numbers = new Float32Array([ // {rows.shape[1]} each",
+        *filled_lines(map(single, rows.ravel())),
+        "]);",
+        "",
+    ]
+    return "\n".join([*lines, *_functions(program, tree, rows.shape[1], certificate is not None)])
 
 
-class _Module(Code[JavaScriptWriter]):
-    """The parts of a module.
+def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
+    """The functions of a program.
 
     Args:
         program: What a query computes.
-        band: What is to be added to values for lower and upper bounds, of each leaf or of all; None if nothing is
-            proven.
+        tree: The tree, whose leaves are rows of numbers.
+        width: Numbers in a row.
+        is_proven: Whether the last two of them are what is to be added to values for lower and upper bounds.
     """
+    dim, has_tree = program.dim, len(tree.children) > 0
 
-    def __init__(self, program: Program, band: Float[np.ndarray, "2 _"] | None) -> None:
-        columns = program.numbers_of_leaves
-        if band is not None:
-            both = np.broadcast_to(band.T.astype(np.float32), (len(columns), 2))
-            columns = np.column_stack([columns, both])
-        super().__init__(program, "double", columns)
-        self.is_proven = band is not None
-
-    def writer(self) -> JavaScriptWriter:
-        """Of a function."""
-        return JavaScriptWriter()
-
-    def introduction(self) -> list[str]:
-        """What the module is, in a comment."""
-        program, names = self.program, "[" + ", ".join("xyz"[: self.program.dim]) + "]"
-        if program.dim > 3:
-            names = f"[{', '.join(f'x{axis}' for axis in range(program.dim))}]"
-        waypoint = f"// waypoint({names}): where to go straight to from a point; NaN outside the domain."
-        bounds = f"// bounds({names}): proven bounds of the distance where the goal can be reached, [lower, upper]."
-        return [
-            f"// The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
-            "//",
-            f"// distance({names}): distance from a point {ends_of(program.domain)};",
-            "// Infinity outside this closed domain, NaN where a coordinate is. It knows no obstacles.",
-            *([waypoint] if self.is_sourced else []),
-            *([bounds] if self.is_proven else []),
-            "// Answers are those of plr.numpy() to points of 64 bits, bit for bit.",
-            "",
-        ]
-
-    def tables(self) -> list[str]:
-        """The tree, and the numbers of the leaves."""
-        tree, dim = self.tree, self.program.dim
-        lines = [ROUNDED, *([BESIDE] if self.is_proven else [])]
-        if self.has_tree:
-            lines += [
-                "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
-                f"// here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}.",
-                f"const tree = new Uint{8 * tree.code_type.itemsize}Array([",
-                *filled_lines(map(str, tree.children.ravel().tolist())),
-                "]);",
-                f"const root = {tree.root};",
-                f"const place = new Uint32Array({dim});",
-                *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * self._counts_cells),
-            ]
-        return [
-            *lines,
-            f"const numbers = new Float32Array([ // {self.rows.shape[1]} each",
-            *filled_lines(map(single, self.rows.ravel())),
-            "]);",
-            "",
-        ]
-
-    @property
-    def _counts_cells(self) -> bool:
-        return self.program.leaf.is_of_cells and self.has_tree
-
-    def functions(self) -> list[str]:
-        """The functions."""
-        do, value = self.distance("NaN", "Infinity")
-        do.statements.append(f"return {value};")
-        lines = [*self._descent(), *function("export function distance(x)", do.used_statements())]
-        if self.is_sourced:
-            do, waypoint = self.waypoint([f"return [{', '.join(['NaN'] * self.program.dim)}];"])
-            do.statements.append(f"return [{', '.join(map(str, waypoint))}];")
-            lines += function("export function waypoint(x)", do.used_statements())
-        if self.is_proven:
-            do, value = self.distance("[NaN, NaN]", "[Infinity, Infinity]")
-            below, above = (f"f(value + numbers[n + {self.rows.shape[1] + end}])" for end in (-2, -1))
-            do.statements += [
-                f"const value = {value};",
-                "if (value === Infinity) return [value, value];",
-                f"const lower = beside({below}, false);",
-                f"return [lower > 0 ? lower : 0, beside({above}, true)];",
-            ]
-            lines += function("export function bounds(x)", do.used_statements())
-        return lines
-
-    def _descent(self) -> list[str]:
-        """From places to the leaf's row: down the tree, or, where its cells are not counted, mostly by a table."""
-        if not self.has_tree:
-            return []
-        tree, of_cells, mask = self.tree, self._counts_cells, (1 << self.tree.kind_bits) - 1
-        statements = [
-            *(["count.fill(1);", "cell.fill(0);"] * of_cells),
-            "let code = root;",
-            f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
-            "    const upper = place[axis] >>> 31;",
-            "    place[axis] <<= 1;",
-            *(["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells),
-            f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
-            "}",
-            f"return code >>> {tree.kind_bits};",
-        ]
-        comment = "// Down the tree: each split takes the next bit of the place along its axis."
-        bits = _TABLE_BITS // tree.dim
-        if of_cells or not bits:
-            return [comment, *function("function leaf()", statements)]
-        index = " | ".join(
-            f"place[{axis}] >>> {32 - bits}" + (f" << {above}" if (above := bits * (tree.dim - 1 - axis)) else "")
-            for axis in range(tree.dim)
-        )
-        return [
-            comment,
-            *function("function descend()", statements),
-            f"// Of each cell of a grid, {1 << bits} an axis: one more than the row, or 0 for several leaves.",
-            "// Behind the bits of its place one more is set, the last; none is left if that was taken.",
-            f"const grid = new Uint32Array({1 << bits * tree.dim});",
-            "for (let index = 0; index < grid.length; index++) {",
-            *(
-                f"    place[{axis}] = (index >>> {bits * (tree.dim - 1 - axis)}) << {32 - bits} | {1 << 31 - bits};"
-                for axis in range(tree.dim)
-            ),
-            "    const row = descend();",
-            "    grid[index] = place.every(left => left !== 0) ? row + 1 : 0;",
-            "}",
-            "",
-            *function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
-        ]
-
-    def read_leaf(self, do: JavaScriptWriter, places: list[Text]) -> list[Text]:
-        """The first of the leaf's numbers, to which the places lead down the tree."""
-        row, width = "0", self.rows.shape[1]
-        if self.has_tree:
+    def read_leaf(do: JavaScriptWriter, places: list[Text]) -> list[Text]:
+        """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
+        row, counts = "0", ["1", "0"] * dim
+        if has_tree:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(places)]
             row = "leaf()" if width == 1 else f"{width} * leaf()"
+            counts = [text for axis in range(dim) for text in (f"count[{axis}]", f"f(cell[{axis}])")]
         do.statements.append(f"const n = {row};")
-        return [do.atom(f"numbers[n + {i}]" if i else "numbers[n]") for i in range(width - 2 * self.is_proven)]
+        numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
+        return [do.atom(text) for text in [*counts * program.leaf.is_of_cells, *numbers]]
 
-    def cells(self, do: JavaScriptWriter) -> list[tuple[Text, Text]]:
-        """Counted on the way down the tree."""
-        if not self._counts_cells:
-            return [(do.atom("1"), do.atom("0"))] * self.program.dim
-        return [(do.atom(f"count[{axis}]"), do.atom(f"f(cell[{axis}])")) for axis in range(self.program.dim)]
+    def value(of_nan: str, others: str) -> tuple[JavaScriptWriter, Text]:
+        """A function as far as its value, given what it answers for NaN, and else outside."""
+        do = JavaScriptWriter()
+        outside = [f"return {is_nan(dim)} ? {of_nan} : {others};"]
+        return do, program.value(do, *write_lookup(do, program, "double", read_leaf, outside))
+
+    do, answer = value("NaN", "Infinity")
+    do.statements.append(f"return {answer};")
+    lines = _descent(tree, program.leaf.is_of_cells) if has_tree else []
+    lines += function("export function distance(x)", do.used_statements())
+    if isinstance(program.leaf, SourcedLeafModel):
+        do, nowhere = JavaScriptWriter(), [f"return [{', '.join(['NaN'] * dim)}];"]
+        _, numbers = write_lookup(do, program, "double", read_leaf, nowhere)
+        do.statements.append(f"return [{', '.join(map(str, program.waypoint(numbers)))}];")
+        lines += function("export function waypoint(x)", do.used_statements())
+    if is_proven:
+        do, answer = value("[NaN, NaN]", "[Infinity, Infinity]")
+        below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
+        do.statements += [
+            f"const value = {answer};",
+            "if (value === Infinity) return [value, value];",
+            f"const lower = beside({below}, false);",
+            f"return [lower > 0 ? lower : 0, beside({above}, true)];",
+        ]
+        lines += function("export function bounds(x)", do.used_statements())
+    return lines
+
+
+def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
+    """From places to the leaf's row: down the tree, or, where its cells are not counted, mostly by a table."""
+    mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
+    statements = [
+        *(["count.fill(1);", "cell.fill(0);"] * of_cells),
+        "let code = root;",
+        f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
+        "    const upper = place[axis] >>> 31;",
+        "    place[axis] <<= 1;",
+        *(["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells),
+        f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
+        "}",
+        f"return code >>> {tree.kind_bits};",
+    ]
+    comment = "// Down the tree: each split takes the next bit of the place along its axis."
+    if of_cells or not bits:
+        return [comment, *function("function leaf()", statements)]
+    index = " | ".join(
+        f"place[{axis}] >>> {32 - bits}" + (f" << {above}" if (above := bits * (tree.dim - 1 - axis)) else "")
+        for axis in range(tree.dim)
+    )
+    return [
+        comment,
+        *function("function descend()", statements),
+        f"// Of each cell of a grid, {1 << bits} an axis: one more than the row, or 0 for several leaves.",
+        "// Behind the bits of its place one more is set, the last; none is left if that was taken.",
+        f"const grid = new Uint32Array({1 << bits * tree.dim});",
+        "for (let index = 0; index < grid.length; index++) {",
+        *(
+            f"    place[{axis}] = (index >>> {bits * (tree.dim - 1 - axis)}) << {32 - bits} | {1 << 31 - bits};"
+            for axis in range(tree.dim)
+        ),
+        "    const row = descend();",
+        "    grid[index] = place.every(left => left !== 0) ? row + 1 : 0;",
+        "}",
+        "",
+        *function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
+    ]
 
 
 ROUNDED = "const f = Math.fround; // each operation is rounded to 32 bits"

@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from math import floor, sqrt
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,12 @@ from jaxtyping import Float, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.box import Box
+from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
 from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.portable.arithmetic import CodedTree, Program, total
-from plr_jax.plr.portable.c import CHeader
+from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, limited
+from plr_jax.plr.portable.c import c_header
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Text, Writer
 
@@ -26,7 +26,7 @@ class PythonWriter(Writer):
     """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
 
     conjunction, conditional = "and", "({1} if {0} else {2})"
-    root_of, cast = "float32(sqrt({}))", "float32({})"
+    root_of, cast, definition = "float32(sqrt({}))", "float32({})", "{name} = {value}"
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,10 +37,6 @@ class PythonWriter(Writer):
         name = f"k{len(self.constants)}"
         self.constants[name] = number
         return name
-
-    def definition(self, name: str, value: Text) -> str:
-        """An assignment."""
-        return f"{name} = {value}"
 
     def floor(self, x: Text) -> Text:
         """The floor as a scalar of the same type."""
@@ -54,7 +50,6 @@ class PythonWriter(Writer):
 _MOST_BITS = 16  # of the table, which then fits a core's second-level cache
 
 
-@dataclass(frozen=True, eq=False)
 class LeafTable:
     """A table of nodes, one for each cell of a grid, and the tree below them.
 
@@ -63,16 +58,13 @@ class LeafTable:
         bits: Of a place along each axis, that tell cells of the grid apart.
         table: Code of the node that holds each cell, the deepest one.
         children: Of the tree's split nodes, side by side, in the type of the table.
+        kind: The bits of a code that are its kind.
+        is_flat: Whether the table knows every leaf.
     """
 
-    tree: CodedTree
-    bits: tuple[int, ...]
-    table: Integer[np.ndarray, "cells"]
-    children: Integer[np.ndarray, "children"]
-
-    @staticmethod
-    def of(tree: CodedTree) -> "LeafTable":
+    def __init__(self, tree: CodedTree) -> None:
         """Of a tree."""
+        self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)
@@ -81,54 +73,14 @@ class LeafTable:
         moving = np.arange(len(code))
         while len(moving):
             node = code[moving] >> tree.kind_bits
-            is_split = code[moving] & ((1 << tree.kind_bits) - 1) < tree.dim
+            is_split = code[moving] & self.kind < tree.dim
             below = np.zeros(len(moving), np.int64)
             below[is_split] = (bits[tree.axis] - 1 - tree.depth)[node[is_split]]
             moves = is_split & (below >= 0)
             moving, node, below = moving[moves], node[moves], below[moves]
             code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
-        table, children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
-        return LeafTable(tree, tuple(bits.tolist()), table, children)
-
-    @property
-    def _kind(self) -> int:
-        return (1 << self.tree.kind_bits) - 1
-
-    @property
-    def is_flat(self) -> bool:
-        """Whether the table knows every leaf."""
-        return bool((self.table & self._kind == self.tree.dim).all())
-
-    @cached_property
-    def codes(self) -> memoryview:
-        """The table, whose entries are then integers of Python."""
-        return self.table.data
-
-    @cached_property
-    def _child_codes(self) -> memoryview:
-        return self.children.data
-
-    @cached_property
-    def _depth(self) -> memoryview:
-        return self.tree.depth.data
-
-    def index_text(self, places: list[str]) -> str:
-        """The row of numbers for places, of 23 bits each, as text of Python."""
-        shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, self.bits, strict=True)]
-        index = shifted[0]
-        for along, bits in zip(shifted[1:], self.bits[1:], strict=True):
-            index = f"({index}) << {bits} | {along}"
-        if self.is_flat:
-            return f"codes[{index}] >> {self.tree.kind_bits}"
-        return f"descend(codes[{index}], ({', '.join(places)},))"
-
-    def row(self, code: int, places: tuple[int, ...]) -> int:
-        """The row of numbers for one place, below the node of that code."""
-        kind_bits = self.tree.kind_bits
-        while (axis := code & self._kind) != self.tree.dim:
-            node = code >> kind_bits
-            code = self._child_codes[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - self._depth[node])) & 1)]
-        return code >> kind_bits
+        self.bits, self.is_flat = tuple(bits.tolist()), bool((code & self.kind == tree.dim).all())
+        self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
     def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
         """The row of numbers for each place."""
@@ -136,14 +88,14 @@ class LeafTable:
         for place, bits in zip(places[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
         code = self.table[index]
-        moving = np.flatnonzero(code & self._kind != self.tree.dim)
+        moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
             axis = self.tree.axis[node]
             place = np.choose(axis, [along[moving] for along in places])
             bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
             code[moving] = self.children[2 * node + bit]
-            moving = moving[code[moving] & self._kind != self.tree.dim]
+            moving = moving[code[moving] & self.kind != self.tree.dim]
         return code >> self.tree.kind_bits
 
 
@@ -173,34 +125,54 @@ def point_query(
 ) -> Callable[..., np.float32 | None]:
     """The value at a point, given by its coordinates; None unless it is plainly inside or outside the domain.
 
-    Outside it is ``inf``, or NaN where a coordinate is.
-
-    ``numbers`` are those of the leaves; of such as are of cells, how many cells there are along each axis and which
-    it is come first.
+    Outside it is ``inf``, or NaN where a coordinate is. ``numbers`` are those of the leaves, cells first.
     """
-    do, domain = PythonWriter(), program.domain
+    do, domain, tree = PythonWriter(), program.domain, table.tree
+    children, depth = table.children.data, tree.depth.data  # whose entries are integers of Python
+
+    def descend(code: int, places: tuple[int, ...]) -> int:
+        """The row of numbers for one place, below the node of that code."""
+        while (axis := code & table.kind) != tree.dim:
+            node = code >> tree.kind_bits
+            code = children[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - depth[node])) & 1)]
+        return code >> tree.kind_bits
+
+    # 1. Outside, beyond which numbers points are however they round, and inside.
     given = [f"x{axis}" for axis in range(program.dim)]
     # Beside the upper end of a periodic axis, wrapping in 64 bits may lead to the lower one.
     unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
     last = np.where(domain.periodic, unwrapped, domain.hi)
     ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
-    beyond = zip(given, _beyond(program), strict=True)
-    outside = [f"({name} < {below!r}) | ({name} > {above!r})" for name, (below, above) in beyond]
+    origin, beyond = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist(), []
+    for axis, (lo, hi) in enumerate(zip(*program.window, strict=True)):
+        if domain.periodic[axis]:
+            beyond.append((-_LARGEST, _LARGEST))
+            continue
+        below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
+        beyond.append((origin[axis] + float(below), origin[axis] + float(above)))
+    outside = [
+        f"({name} < {least!r}) | ({name} > {most!r})" for name, (least, most) in zip(given, beyond, strict=True)
+    ]
     is_nan = " or ".join(f"{name} != {name}" for name in given)
+    # 2. Its leaf.
     precision = np.dtype(program.precision).name
     of_type = "float" if precision == "float32" else "double"
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
     x = program.placed(do, program.counted(do, x))
     above = program.above(do, x)
-    index = table.index_text([str(do.let("place", place)) for place in program.places(do, above)])
-    do.statements.append(f"leaf = {index}")
+    places = [str(do.let("place", place)) for place in program.places(do, above)]
+    shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, table.bits, strict=True)]
+    index = shifted[0]
+    for along, bits in zip(shifted[1:], table.bits[1:], strict=True):
+        index = f"({index}) << {bits} | {along}"
+    row = (
+        f"codes[{index}] >> {tree.kind_bits}" if table.is_flat else f"descend(codes[{index}], ({', '.join(places)},))"
+    )
+    # 3. The leaf's value.
     names = [f"n{i}" for i in range(numbers.shape[1])]
-    do.statements.append(f"{', '.join(names)}, = rows[leaf]")
-    read = [do.atom(name) for name in names]
-    num_of_cell = 2 * program.dim * program.leaf.is_of_cells
-    cell = list(zip(read[:num_of_cell:2], read[1:num_of_cell:2], strict=True))
-    value = program.value(do, x, above, read[num_of_cell:], cell)
+    do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
+    value = program.value(do, above, [do.atom(name) for name in names])
     lines = [
         f"if not ({' and '.join(inside)}):",
         f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # which compares all coordinates
@@ -212,8 +184,8 @@ def point_query(
     names_in_source: dict[str, Any] = {
         **do.constants,
         "rows": _Rows(numbers),
-        "descend": table.row,
-        "codes": table.codes,
+        "descend": descend,
+        "codes": table.table.data,
         "floor": floor,
         "sqrt": sqrt,
         "inf": np.float32(np.inf),
@@ -225,47 +197,8 @@ def point_query(
     return names_in_source["query"]
 
 
-def _beyond(program: Program) -> list[tuple[float, float]]:
-    """Along each axis the numbers below and above which coordinates are outside the domain, however they round."""
-    beyond, corner = [], program.origin.tolist()
-    for window, is_periodic, origin in zip(program.windows, program.domain.periodic, corner, strict=True):
-        if is_periodic:
-            beyond.append((-_LARGEST, _LARGEST))
-        else:
-            below, above = np.nextafter(window.lo, np.float32(-np.inf)), np.nextafter(window.hi, np.float32(np.inf))
-            beyond.append((origin + float(below), origin + float(above)))
-    return beyond
-
-
 _CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
 _PLAIN = (float, int, np.float64, np.float32)
-_FRACTION = np.uint32((1 << FRACTION_BITS) - 1)
-
-
-class _OfArrays:
-    """Operations of arrays."""
-
-    def let(self, name: str, value: Any) -> Any:
-        return value
-
-    def where(self, condition: Any, yes: Any, no: Any) -> Any:
-        return np.where(condition, yes, no)
-
-    def floor(self, x: Any) -> Any:
-        return np.floor(x)
-
-    def root(self, x: Any) -> Any:
-        return np.sqrt(x)
-
-    def rounded(self, x: Any) -> Any:
-        return x.astype(np.float32)
-
-    def fraction(self, x: Any) -> Any:
-        return x.view(np.uint32) & _FRACTION
-
-
-ARRAYS = _OfArrays()
-"""Operations of arrays of NumPy."""
 
 
 class NumpyPLR:
@@ -281,6 +214,12 @@ class NumpyPLR:
     periodic axis, or one outside for which another answer than ``inf`` is asked.
     Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far
     from the origin, and around periodic axes.
+
+    Attributes:
+        dim: Number of axes.
+        domain: The closed box that the PLR covers.
+        num_leaves: Number of leaves of the partition.
+        max_error: Proven bound of the largest error anywhere, in units of distance; None if there is none.
     """
 
     def __init__(self, data: bytes):
@@ -291,38 +230,23 @@ class NumpyPLR:
                 "PLR plr.numpy()."
             )
         self._data = bytes(data)
-        self._program = program = Program.of_file(self._data)
-        num_leaves = len(program.cells)
-        self._table = LeafTable.of(program.coded_tree(np.arange(num_leaves)))
-        self._numbers = program.numbers_of_leaves
-        self._columns = np.ascontiguousarray(self._numbers.T)
-        self._cells = np.zeros((num_leaves, 0, 2), np.float32)  # how many cells span the domain, and which it is
-        if program.leaf.is_of_cells:
-            depth, position = program.cells.depth, program.cells.position
-            self._cells = np.stack([np.ldexp(1.0, depth), position], axis=2).astype(np.float32)
-        self._cell_columns = np.ascontiguousarray(np.moveaxis(self._cells, 0, 2))
-        self.dim = program.dim
+        self._program = program = Program(decode(self._data))
+        cells, self.dim, self.domain = program.contents.cells, program.dim, program.domain
+        self.num_leaves = len(cells)
+        self._table = LeafTable(CodedTree(program.contents.levels, self.dim, np.arange(self.num_leaves)))
+        numbers = program.numbers
+        if program.leaf.is_of_cells:  # how many cells span the domain along each axis, and which it is
+            of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
+            numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
+        self._columns = np.ascontiguousarray(numbers.T)
+        certificate = program.contents.certificate
+        self.max_error = None if certificate is None else certificate.max_error
+        self._band = None if certificate is None else certificate.bounds().astype(np.float32)
 
     def __repr__(self) -> str:
         proof = "" if self.max_error is None else f", max_error={self.max_error:.3g}"
         size = f"dim={self.dim}, num_leaves={self.num_leaves}"
         return f"NumpyPLR({self._program.leaf.name!r}, {size}{proof}, {self.domain})"
-
-    @property
-    def domain(self) -> Box:
-        """The closed box that the PLR covers."""
-        return self._program.domain
-
-    @property
-    def max_error(self) -> float | None:
-        """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
-        certificate = self._program.contents.certificate
-        return None if certificate is None else certificate.max_error
-
-    @property
-    def num_leaves(self) -> int:
-        """Number of leaves of the partition."""
-        return len(self._program.cells)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
@@ -330,7 +254,7 @@ class NumpyPLR:
 
     def c_header(self, name: str) -> str:
         """The same as one header of C99: see :meth:`PLR.c_header`."""
-        return CHeader(self._program, name).text()
+        return c_header(self._program, name)
 
     def js_module(self) -> str:
         """The same as one module of JavaScript: see :meth:`PLR.js_module`."""
@@ -393,14 +317,8 @@ class NumpyPLR:
         return answers[..., 0], answers[..., 1]
 
     @cached_property
-    def _band(self) -> Float[np.ndarray, "2 rows"] | None:
-        certificate = self._program.contents.certificate
-        return None if certificate is None else certificate.bounds().astype(np.float32)
-
-    @cached_property
     def _point_query(self) -> Callable[..., np.float32 | None]:
-        cells = self._cells.reshape(len(self._numbers), -1)
-        return point_query(self._program, self._table, np.concatenate([cells, self._numbers], axis=1))
+        return point_query(self._program, self._table, self._columns.T)
 
     def _at_point(self, x: ArrayLike) -> np.float32 | None:
         """The value at a single point, ``inf`` outside; None of what is none, or not plainly in or out."""
@@ -421,73 +339,59 @@ class NumpyPLR:
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
         """Answers of that shape to points, chunk by chunk."""
-        x = as_float_points(x, self.dim)
+        x, program = as_float_points(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
-        of_type = np.float64 if answer == self._waypoints and self._program.corner is not None else np.float32
+        of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
         answers = np.empty((len(flat), *shape), of_type)
         with np.errstate(all="ignore"):
             for start in range(0, len(flat), _CHUNK):
-                chunk = slice(start, start + _CHUNK)
-                self._answer_chunk(flat[chunk], answer, answers[chunk], outside)
+                points, part = flat[start : start + _CHUNK], answers[start : start + _CHUNK]
+                if program.corner is not None:
+                    points = points.astype(np.float64)
+                given = list(np.ascontiguousarray(points.T))
+                if points.dtype == np.float64:
+                    given = program.wrapped_wide(ARRAYS, given)
+                given = [along.astype(program.precision, copy=False) for along in given]
+                if (inside := program.contains(ARRAYS, given)).all():
+                    part[...] = self._at_counted(program.counted(ARRAYS, given), answer)
+                    continue
+                lo = self.domain.lo.astype(program.precision)
+                moved = [np.where(inside, along, least) for along, least in zip(given, lo, strict=True)]
+                part[...] = self._at_counted(program.counted(ARRAYS, moved), answer)
+                is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
+                if outside == "clamp":
+                    others = self._at_nearest(program.counted(ARRAYS, [along[~inside] for along in given]), answer)
+                elif outside == "nan" or answer == self._waypoints:
+                    others = np.nan
+                part[~inside] = np.reshape(np.where(is_nan, np.nan, others), (-1, *[1] * len(shape)))
         return answers.reshape((*x.shape[:-1], *shape))[()]
-
-    def _answer_chunk(
-        self, points: np.ndarray, answer: Callable[..., Any], answers: np.ndarray, outside: Outside
-    ) -> None:
-        """Write the answers to some points, by columns."""
-        program = self._program
-        if program.corner is not None:
-            points = points.astype(np.float64)
-        x = list(np.ascontiguousarray(points.T))
-        if points.dtype == np.float64:
-            x = program.wrapped_wide(ARRAYS, x)
-        x = [along.astype(program.precision, copy=False) for along in x]
-        given, inside = x, program.contains(ARRAYS, x)
-        if not (is_inside := inside.all()):
-            x = [
-                np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
-            ]
-        counted = program.counted(ARRAYS, x)
-        answers[...] = self._at_counted(counted, answer)
-        if not is_inside:
-            x = [along[~inside] for along in given]
-            is_nan = np.isnan(points[~inside]).any(axis=1)
-            if answer == self._waypoints or outside == "nan":
-                others = np.nan
-            elif outside == "clamp":
-                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(ARRAYS, x), answer))
-            else:
-                others = np.where(is_nan, np.nan, np.inf)
-            answers[~inside] = np.reshape(others, (-1, *[1] * (answers.ndim - 1)))
 
     def _at_counted(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers to points of the domain, by columns."""
-        x = self._program.placed(ARRAYS, counted)
-        above = self._program.above(ARRAYS, x)
-        return answer(x, above, self._table.rows(self._program.places(ARRAYS, above)))
+        above = self._program.above(ARRAYS, self._program.placed(ARRAYS, counted))
+        return answer(above, self._table.rows(self._program.places(ARRAYS, above)))
 
     def _at_nearest(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
         is_finite = np.isfinite(counted).all(axis=0)
         counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
-        nearest = self._program.nearest(ARRAYS, counted)
+        ends = zip(counted, *self._program.window, self.domain.periodic, strict=True)
+        nearest = [along if is_periodic else limited(ARRAYS, along, lo, hi) for along, lo, hi, is_periodic in ends]
         moved = [along - to for along, to in zip(counted, nearest, strict=True)]
         scale = np.abs(moved).max(axis=0)
         scale = np.where(scale > 0, scale, np.float32(1))
-        way = scale * np.sqrt(total([np.square(along / scale) for along in moved]))
+        way = scale * np.sqrt(reduce(add, [np.square(along / scale) for along in moved]))
         return np.where(is_finite, self._at_counted(nearest, answer) + way, np.float32(np.inf))
 
-    def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        numbers = [column[leaf] for column in self._columns]
-        cells = [(count[leaf], position[leaf]) for count, position in self._cell_columns]
-        return self._program.value(ARRAYS, x, above, numbers, cells)
+    def _values(self, above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        return self._program.value(ARRAYS, above, [column[leaf] for column in self._columns])
 
-    def _waypoints(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+    def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
 
-    def _bounds(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+    def _bounds(self, above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are asked for where there is a proof"
-        value, band = self._values(x, above, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
+        value, band = self._values(above, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
         upper = np.nextafter(value + band[1], np.float32(np.inf))
         finite = value < np.inf

@@ -3,17 +3,16 @@
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from functools import partialmethod
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
-from plr_jax.plr.leaves.base import SourcedLeafModel
-from plr_jax.plr.portable.arithmetic import Program, distinct_rows
+from plr_jax.plr.portable.arithmetic import Operations, Program
 
 _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # how tightly each binds
 
@@ -47,7 +46,8 @@ class Text:
         of_type = "double" if "double" in (left.type, right.type) else "float"
         # Sums and products are from left to right.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
-        return self.language.rounded_to_type(Text(text, level, of_type, self.language))
+        value = Text(text, level, of_type, self.language)
+        return value if self.language.is_rounded or of_type == "double" else self.language.rounded(value)
 
     def __add__(self, other: Any) -> "Text":
         return self._joined("+", self, self.language.constant(other), _SUM)
@@ -80,24 +80,15 @@ class Text:
         left, right = self.at_least(_SUM), self.language.constant(other).at_least(_SUM)
         return Text(f"{left} {symbol} {right}", _COMPARISON, "int", self.language)
 
-    def __lt__(self, other: Any) -> "Text":
-        return self._compared("<", other)
-
-    def __gt__(self, other: Any) -> "Text":
-        return self._compared(">", other)
-
-    def __le__(self, other: Any) -> "Text":
-        return self._compared("<=", other)
-
-    def __ge__(self, other: Any) -> "Text":
-        return self._compared(">=", other)
+    __lt__, __gt__ = partialmethod(_compared, "<"), partialmethod(_compared, ">")
+    __le__, __ge__ = partialmethod(_compared, "<="), partialmethod(_compared, ">=")
 
     def __and__(self, other: "Text") -> "Text":
         text = f"{self.at_least(_CONDITION)} {self.language.conjunction} {other.at_least(_CONDITION)}"
         return Text(text, _CONDITION, "int", self.language)
 
 
-class Writer(ABC):
+class Writer(Operations, ABC):
     """Operations that write statements, one a name.
 
     Attributes:
@@ -105,12 +96,15 @@ class Writer(ABC):
         conditional: An expression of a condition and two values.
         root_of: The root of a 32-bit float, in 32 bits: that of 64 bits, rounded, is the same.
         cast: A value in 32 bits.
+        definition: The statement that gives a value of some type its name.
+        is_rounded: Whether what an operation gives is in the precision of its type as it is.
     """
 
-    conjunction: str
-    conditional: str
+    conjunction, conditional = "&&", "({} ? {} : {})"
     root_of: str
     cast: str
+    definition: str
+    is_rounded = True
 
     def __init__(self) -> None:
         self.statements: list[str] = []
@@ -134,12 +128,8 @@ class Writer(ABC):
             return value
         unique = f"{name}_{self._names[name]}"
         self._names[name] += 1
-        self.statements.append(self.definition(unique, value))
+        self.statements.append(self.definition.format(type=value.type, name=unique, value=value))
         return self.atom(unique, value.type)
-
-    def rounded_to_type(self, value: Text) -> Text:
-        """What an operation gives, in the precision of its type: in most languages as it is."""
-        return value
 
     def where(self, condition: Text, yes: Any, no: Any) -> Text:
         """One of two values."""
@@ -159,10 +149,6 @@ class Writer(ABC):
         """A number."""
 
     @abstractmethod
-    def definition(self, name: str, value: Text) -> str:
-        """The statement that gives a value its name."""
-
-    @abstractmethod
     def floor(self, x: Text) -> Text:
         """The largest integer that is not above, in the same type."""
 
@@ -170,14 +156,8 @@ class Writer(ABC):
     def fraction(self, x: Text) -> Text:
         """The 23 bits behind the point: in Python as they are, elsewhere at the upper end of a word."""
 
-
-class BracedWriter(Writer):
-    """Of C and JavaScript, as far as these are spelled alike."""
-
-    conjunction, conditional = "&&", "({} ? {} : {})"
-
     def used_statements(self) -> list[str]:
-        """All statements but constants that no later one reads."""
+        """All statements of C or JavaScript but constants that no later one reads."""
         kept: list[str] = []
         for statement in reversed(self.statements):
             name = re.match(r"const (?:\w+ )?(\w+) = ", statement)
@@ -186,71 +166,33 @@ class BracedWriter(Writer):
         return kept[::-1]
 
 
-_WIDTH = 100  # of a line
-W = TypeVar("W", bound=BracedWriter)
+def write_lookup(
+    do: Writer, program: Program, of_type: str, read_leaf: Callable[[Any, list[Text]], list[Text]], outside: list[str]
+) -> tuple[list[Text], list[Text]]:
+    """Write a function of C or JavaScript, of a point ``x``, as far as its leaf.
 
+    Args:
+        do: What writes it.
+        program: What it computes.
+        of_type: Of the coordinates that are given, ``float`` or ``double``.
+        read_leaf: Writes by ``do`` how the leaf at places along each axis is found, and returns its numbers.
+        outside: Statements for points outside the domain.
 
-class Code(ABC, Generic[W]):
-    """The functions of a program in a language, which says how leaves are found and read.
-
-    Attributes:
-        type: Of the coordinates that are given, ``float`` or ``double``.
-        rows: The different numbers that leaves have.
-        tree: The tree, whose leaves are rows of them.
-        is_sourced: Whether there are waypoints.
+    Returns:
+        How far the placed point is above the domain's lower corner, and the leaf's numbers.
     """
+    x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
+    if of_type == "double":
+        x = program.wrapped_wide(do, x)
+        x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
+    do.statements += [f"if (!({program.contains(do, x)})) {{", *indented(outside), "}"]
+    above = program.above(do, program.placed(do, program.counted(do, x)))
+    return above, read_leaf(do, program.places(do, above))
 
-    def __init__(self, program: Program, of_type: str, numbers: Float[np.ndarray, "leaves count"]) -> None:
-        self.program, self.type = program, of_type
-        self.rows, row_of_leaf = distinct_rows(numbers)
-        self.tree = program.coded_tree(row_of_leaf)
-        self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
 
-    @property
-    def has_tree(self) -> bool:
-        """Whether there is more than one leaf."""
-        return len(self.tree.children) > 0
-
-    @abstractmethod
-    def writer(self) -> W:
-        """Operations that write a function."""
-
-    @abstractmethod
-    def read_leaf(self, do: W, places: list[Text]) -> list[Text]:
-        """The numbers of the leaf at places along each axis."""
-
-    @abstractmethod
-    def cells(self, do: W) -> list[tuple[Text, Text]]:
-        """Along each axis, how many cells like that of the leaf last read there are, and which it is."""
-
-    def distance(self, nan: str, infinity: str) -> tuple[W, Text]:
-        """A function as far as its value, given what it answers for NaN, and else outside."""
-        do, program = self.writer(), self.program
-        given = self._given(do)
-        is_nan = " || ".join(f"{along} != {along}" for along in map(str, given))
-        x, above, numbers = self._found(do, given, [f"return {is_nan} ? {nan} : {infinity};"])
-        cells = self.cells(do) if program.leaf.is_of_cells else []
-        return do, program.value(do, x, above, numbers, cells)
-
-    def waypoint(self, outside: list[str]) -> tuple[W, list[Text]]:
-        """A function as far as the waypoint, given its statements outside."""
-        do = self.writer()
-        *_, numbers = self._found(do, self._given(do), outside)
-        return do, self.program.waypoint(numbers)
-
-    def _given(self, do: W) -> list[Text]:
-        return [do.atom(f"x[{axis}]", self.type) for axis in range(self.program.dim)]
-
-    def _found(self, do: W, given: list[Text], outside: list[str]) -> tuple[list[Text], list[Text], list[Text]]:
-        """A placed point, how far it is above the lower corner, and its leaf's numbers."""
-        program, x = self.program, given
-        if self.type == "double":
-            x = program.wrapped_wide(do, x)
-            x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
-        do.statements += [f"if (!({program.contains(do, x)})) {{", *indented(outside), "}"]
-        x = program.placed(do, program.counted(do, x))
-        above = program.above(do, x)
-        return x, above, self.read_leaf(do, program.places(do, above))
+def is_nan(dim: int) -> str:
+    """The condition of C and JavaScript that a coordinate of ``x`` is NaN."""
+    return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
 
 
 def require_identifier(name: object) -> None:
@@ -265,6 +207,9 @@ def ends_of(domain: Box) -> str:
         f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
         for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
     )
+
+
+_WIDTH = 100  # of a line
 
 
 def indented(lines: Iterable[str]) -> list[str]:
