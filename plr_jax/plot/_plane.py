@@ -198,22 +198,44 @@ def plot_contours(
     if not of_free.count():
         raise ValueError("There is nothing to draw: no point has an answer in free space.")
     largest = float(of_free.max())
-    image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
-    if min(values.shape) > 1:
-        levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
-        across = points[..., list(shown.axes)]
-        ax.contour(across[..., 0], across[..., 1], values, levels=levels, colors="white", linewidths=0.9)
+    image = draw_values(ax, shown, points, values, largest, 16, None if space is None else ~free)
     if workspace is not None:
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
-    elif space is not None:
-        blocked = np.ma.masked_where(free, np.ones(free.shape))
-        add_image(ax, shown.box, blocked, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
     if goal is not None:
-        ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
+        mark_goal(ax, goal)
     add_colorbar(ax, image, f"{label} ({unit})")
     return ax
+
+
+def draw_values(
+    ax: Axes,
+    shown: Slice,
+    points: Float[np.ndarray, "rows columns dim"],
+    values: np.ma.MaskedArray,
+    largest: float,
+    num_levels: int,
+    closed: Bool[np.ndarray, "rows columns"] | None,
+) -> AxesImage:
+    """Draw values in colors from 0 to the largest, lines between about so many levels, and closed points in gray."""
+    image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
+    x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
+    has_lines = min(values.shape) > 1
+    if has_lines and largest > 0 and values.count():
+        levels = MaxNLocator(num_levels).tick_values(0.0, largest)[1:]
+        ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
+    if closed is not None and closed.any():
+        gray = np.ma.masked_where(~closed, np.ones(closed.shape))
+        add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
+        if has_lines and not closed.all():
+            ax.contour(x, y, closed, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
+    return image
+
+
+def mark_goal(ax: Axes, goal: Float[np.ndarray, "2"]) -> None:
+    """Mark the place of a goal with a star."""
+    ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
 
 
 def plot_cells(
