@@ -214,28 +214,6 @@ def may_see(
         view: The viewpoints.
         hull: Corners of the polygon, of all of them or of each.
     """
-    sees, number, height = _above_walls(table, view, hull)
-    sees[number[height.max(axis=1) >= 0]] = True
-    return sees
-
-
-def sees_all(
-    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
-) -> Bool[np.ndarray, "n"]:
-    """Whether viewpoints certainly see all of convex polygons: in front of each wall that they see towards these."""
-    is_around, number, height = _above_walls(table, view, hull)
-    sees = ~is_around
-    sees[number[height.min(axis=1) < 0]] = False
-    return sees
-
-
-def _above_walls(
-    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
-) -> tuple[Bool[np.ndarray, "n"], Int[np.ndarray, "walls"], Float[np.ndarray, "walls k"]]:
-    """Whether polygons are around their viewpoints; and how high their corners are above walls seen towards them.
-
-    The walls of each are those in directions of some of it, ``-inf`` where its viewpoint does not look.
-    """
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
@@ -256,7 +234,9 @@ def _above_walls(
     edge, number = table.edge[begin[run] + place], number[run]
     normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
     height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
-    return is_around, number, np.where(edge[:, None] < 0, -np.inf, height - offset[:, None])
+    # The walls in directions of some of it, of which a corner of it is above; -1 where the viewpoint does not look.
+    is_around[number[(edge >= 0) & (height.max(axis=1) >= offset)]] = True
+    return is_around
 
 
 class _Views(NamedTuple):

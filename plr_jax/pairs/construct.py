@@ -24,6 +24,8 @@ from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, levels_of
 
+DEFAULT_MAX_BYTES = 2**16
+_SLACK = 8  # tolerances of the workspace
 _FINEST = 2.0**-24  # of the width: 32-bit floats tell no finer
 
 
@@ -31,27 +33,8 @@ def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
     """The outline of a boundary, and the boundary's vertex at each of its points."""
-    edges, onward = boundary.edges, _onward(boundary, may_squeeze)
-    vertex, first, is_done = [], [0], np.zeros(len(edges), bool)
-    for start in range(len(edges)):
-        edge = start
-        while not is_done[edge]:
-            is_done[edge] = True
-            vertex.append(edges[edge, 0])
-            edge = onward[edge]
-        if len(vertex) > first[-1]:
-            first.append(len(vertex))
-    index = np.array(vertex)
-    step = lattice_step(boundary.vertices - origin, width, tolerance)
-    points = np.rint((boundary.vertices[index] - origin) / step).astype(np.int64)
-    return Outline(origin, step, points, np.array(first), may_squeeze), index
-
-
-def _onward(boundary: Boundary, may_squeeze: bool) -> Int[np.ndarray, "edges"]:
-    """The edge with which each edge's ring goes on: that whose sector it closes.
-
-    Where paths may squeeze between walls that touch, it is the next one around the same wall instead.
-    """
+    # 1. The edge with which each edge's ring goes on: that whose sector it closes. Where paths may squeeze between
+    #    walls that touch, it is the next one around the same wall instead.
     edges = boundary.edges
     leaving = {
         (int(at), int(end)): i for i, (at, end) in enumerate(zip(edges[:, 0], boundary.sector_end, strict=True))
@@ -66,7 +49,20 @@ def _onward(boundary: Boundary, may_squeeze: bool) -> Int[np.ndarray, "edges"]:
             around = around[np.argsort(angle[around])]
             following[around] = np.roll(around, -1)
         onward = following[onward]
-    return onward
+    # 2. The rings, and their points on the lattice.
+    vertex, first, is_done = [], [0], np.zeros(len(edges), bool)
+    for start in range(len(edges)):
+        edge = start
+        while not is_done[edge]:
+            is_done[edge] = True
+            vertex.append(edges[edge, 0])
+            edge = onward[edge]
+        if len(vertex) > first[-1]:
+            first.append(len(vertex))
+    index = np.array(vertex)
+    step = lattice_step(boundary.vertices - origin, width, tolerance)
+    points = np.rint((boundary.vertices[index] - origin) / step).astype(np.int64)
+    return Outline(origin, step, points, np.array(first), may_squeeze), index
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
@@ -87,7 +83,7 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
 
 
 _SHARE = 0.25  # of the largest key, above which cells are halved in a round
-IN_VAIN = 0.1  # corners of a list that a point does not see, on average: with fewer queries become no faster
+_IN_VAIN = 0.1  # corners of a list that a point does not see, on average: with fewer queries become no faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +150,8 @@ def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
     """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
-    lists = lists_of(root, Cells.root(2))
-    tree = _ListTree(lists, keys_of(root, lists, limits), np.ones(1, bool), np.full(1, -1), root)
-    enough = IN_VAIN * areas(root.pieces).sum()
+    tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
+    enough = _IN_VAIN * areas(root.pieces).sum()
 
     def halved(tree: _ListTree) -> _ListTree | None:
         leaves = np.flatnonzero(tree.is_leaf)
@@ -184,8 +179,8 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     both = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
     visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
-    lists = lists_of(visible, both)
-    key = np.minimum(keys_of(visible, lists, limits), np.repeat(tree.key[nodes], 2))
+    lists, key = _keyed_lists(visible, both, limits)
+    key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
     stay = np.flatnonzero(is_leaf[leaves])
@@ -198,44 +193,15 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     )
 
 
-def lists_of(visible: CellSources, cells: Cells) -> Lists:
-    """The lists of cells, of which it is known what they see."""
-    return Lists(cells, *corners_of_cells(visible))
+def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
+    """The lists of cells, and free area of each cell times how many of its corners are not seen by all of it.
 
-
-def keys_of(visible: CellSources, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
-    """Free area of each cell times how many of its corners are not seen by all of it; 0 where it is to stay."""
-    area = np.bincount(visible.cell, areas(visible.pieces), len(lists.cells))
-    doubtful = np.bincount(lists.cell, ~lists.by_all, len(lists.cells))
-    return np.where((lists.cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
-
-
-DEFAULT_MAX_BYTES = 2**16
-_SLACK = 8  # tolerances of the workspace
-
-
-def grown(
-    workspace: Workspace,
-    limits: Limits,
-    visibility: CornerVisibility,
-    unlisted: Stored,
-    rank: Int[np.ndarray, "corners"],
-) -> tuple[Stored, bytes]:
-    """What a file of :func:`without_lists` holds after lists are grown for it, and its bytes."""
-
-    def stored(lists: Lists) -> Stored:
-        levels, order = levels_of(lists.cells)
-        place = np.argsort(order)[lists.cell]
-        by_leaf = np.lexsort((rank[lists.corner], place))
-        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
-
-    most = min(limits.max_leaves, most_leaves(len(rank)))
-    root = corners_seen(visibility, workspace.triangulation, workspace.bounds.lo[None], workspace.bounds.hi[None])
-    lists = grow_lists(root, workspace.bounds, limits, most, lambda lists: len(stored(lists).to_bytes()))
-    held = stored(lists)
-    data = held.to_bytes()
-    require_bytes(len(data), limits)
-    return held, data
+    The key is 0 where a cell is to stay.
+    """
+    lists = Lists(cells, *corners_of_cells(visible))
+    area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
+    doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
+    return lists, np.where((cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
 
 
 def corners_seen(
@@ -249,24 +215,13 @@ def corners_seen(
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
-def limits_of(workspace: Workspace, max_bytes: int | None) -> Limits:
-    """The limits of pairs of a workspace; raises ``ValueError`` if it is none, or the bytes no number."""
+def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Stored, bytes]:
+    """Return what the file of pairs of a workspace holds, and its bytes."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     frame = frame_size(workspace.bounds)
-    return check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame)
-
-
-def require_bytes(size: int, limits: Limits) -> None:
-    """Raise ``ValueError`` if a file of one leaf, of so many bytes, is too large."""
-    if size > limits.max_bytes:
-        most = f"max_bytes={limits.max_bytes:,.0f}"
-        raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than {most}.")
-
-
-def without_lists(workspace: Workspace) -> tuple[CornerVisibility, Stored, Int[np.ndarray, "corners"]]:
-    """What corners see, what a file holds besides lists, and which of its corners each is."""
+    limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame)
     domain, boundary = workspace.bounds, workspace.boundary
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")
@@ -285,12 +240,13 @@ def without_lists(workspace: Workspace) -> tuple[CornerVisibility, Stored, Int[n
             "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
         )
     corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
-    # Joined are corners that see one another and whose line is tangent at both: what shortest paths are made of.
+    # 1. Edges: joined are corners that see one another and whose line is tangent at both: what shortest paths are
+    #    made of.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
     edges = np.unique(np.sort(rank[visibility.edges[is_taut]], axis=1)[:, ::-1], axis=0)[:, ::-1]
-    # A path by the corners has two legs, each of which changes by no more than its corner moves when the file rounds
-    # it, and the distance between these corners, of which all are compared. Visibility itself has a tolerance.
+    # 2. A path by the corners has two legs, each of which changes by no more than its corner moves when the file
+    #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
     none = np.zeros(0, np.int64)
     unlisted = Stored(domain, outline, corner, edges, levels_of(Cells.root(2))[0], none, none, 0.0)
     true = np.empty_like(unlisted.points)
@@ -303,7 +259,25 @@ def without_lists(workspace: Workspace) -> tuple[CornerVisibility, Stored, Int[n
         with np.errstate(invalid="ignore"):
             largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
     rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
-    return visibility, replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf)))), rank
+
+    unlisted = replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf))))
+
+    # 3. The leaves and their lists.
+    def stored(lists: Lists) -> Stored:
+        levels, order = levels_of(lists.cells)
+        place = np.argsort(order)[lists.cell]
+        by_leaf = np.lexsort((rank[lists.corner], place))
+        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
+
+    most = min(limits.max_leaves, most_leaves(len(rank)))
+    root = corners_seen(visibility, workspace.triangulation, domain.lo[None], domain.hi[None])
+    held = stored(grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes())))
+    data = held.to_bytes()
+    if len(data) > limits.max_bytes:
+        raise ValueError(
+            f"Free space and its corners alone take {len(data):,} bytes, more than max_bytes={limits.max_bytes:,.0f}."
+        )
+    return held, data
 
 
 def corners_in_outline(

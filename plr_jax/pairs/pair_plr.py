@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -43,13 +43,6 @@ _ROUNDINGS = 16
 _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
 
 
-class MadeOf(NamedTuple):
-    """The inputs of a construction that the file does not hold: the map, and the budget."""
-
-    workspace: "Workspace | None"
-    max_bytes: int | None
-
-
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(HeldFile):
@@ -66,7 +59,6 @@ class PairPLR(HeldFile):
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
     _known_tables: PairTables | None = field(default=None, repr=False)
     _known_stored: Stored | None = field(default=None, repr=False)
-    _made_of: MadeOf = field(default=MadeOf(None, None), repr=False)
 
     @cached_property
     def tables(self) -> PairTables:
@@ -205,38 +197,6 @@ class PairPLR(HeldFile):
         """
         return plr_to(self.stored, self, goal)
 
-    def updated(
-        self, workspace: "Workspace", before: "Workspace | None" = None, *, max_bytes: int | None = None
-    ) -> "PairPLR":
-        """The pairs of a map that has changed here and there, far sooner than they are constructed.
-
-        Distances and bounds are as good as those of constructed pairs: all that the change may have an influence on
-        is found anew. Queries are about as quick. After a change of much of the map all is constructed.
-
-        Args:
-            workspace: The map as it is now, such as ``before.with_obstacles(add, remove)``, within the same bounds.
-            before: The map that the pairs are of; None: the one they were constructed or last updated of, in this
-                process.
-            max_bytes: Largest size of the file; None: as when they were constructed, or, of a file, 65,536.
-
-        Returns:
-            The pairs, with the label of these, which stay as they are, also if that is interrupted.
-
-        Raises:
-            ValueError: If the map they are of is not known, or found to be another one than ``before``, the bounds
-                differ, or as for :func:`construct_pairs`.
-        """
-        from plr_jax.pairs.updated import updated_pairs  # which no query needs
-
-        if (before := self._made_of.workspace if before is None else before) is None:
-            raise ValueError(
-                "The map that these pairs are of is not known, as of pairs from a file: give the workspace before, "
-                "pairs.updated(workspace, before)."
-            )
-        max_bytes = self._made_of.max_bytes if max_bytes is None else max_bytes
-        stored, data = updated_pairs(self.stored, workspace, before, max_bytes)
-        return PairPLR(held(data), None, stored, MadeOf(workspace, max_bytes))
-
     def numpy(self) -> NumpyPairs:
         """The same in NumPy, by the arithmetic that readers in other languages keep to: see ``pairs/portable.py``."""
         return NumpyPairs(self.stored)
@@ -337,11 +297,10 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     References:
         "all-pairs" in Section II of the paper.
     """
-    from plr_jax.pairs.construct import grown, limits_of, without_lists  # which no query needs
+    from plr_jax.pairs.construct import construct_stored  # which no query needs
 
-    limits = limits_of(workspace, max_bytes)
-    stored, data = grown(workspace, limits, *without_lists(workspace))
-    return PairPLR(held(data), None, stored, MadeOf(workspace, max_bytes))
+    stored, data = construct_stored(workspace, max_bytes)
+    return PairPLR(held(data), None, stored)
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:

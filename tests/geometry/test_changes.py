@@ -4,7 +4,7 @@ import shapely
 from piece_helpers import random_obstacle
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.changes import may_see, sees_all
+from plr_jax.geometry.changes import may_see
 from plr_jax.geometry.corners import corner_visibility
 
 BOUNDS = ((0, 0), (8, 8))
@@ -92,16 +92,16 @@ def test_changes_that_cannot_be_are_refused(change, message):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_points_of_polygons_that_are_seen_in_whole_or_not_at_all(seed):
+def test_no_point_is_seen_of_polygons_that_may_not_be_seen(seed):
     rng = np.random.default_rng(seed)
     workspace = Workspace(BOUNDS, [random_obstacle(rng, "polygon") for _ in range(6)], squeeze=bool(seed % 2))
     table = corner_visibility(workspace).table
     view, lo = rng.integers(0, len(table.points), 4000), rng.uniform(0, 7.6, (4000, 2))
     size = rng.uniform(0.01, 0.4, (4000, 2))
     hulls = np.stack([lo + size * np.array(corner) for corner in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)
-    some, every = may_see(table, view, hulls), sees_all(table, view, hulls)
-    assert 300 < every.sum() < some.sum() < 3700 and not (every & ~some).any()
+    some = may_see(table, view, hulls)
+    assert 300 < some.sum() < 3700
     for _ in range(20):
         x = lo + size * rng.random((4000, 2))
         seen = table.sees(view, x) & workspace.is_free(x)
-        assert seen[every].all() and not seen[~some].any()
+        assert not seen[~some].any()
