@@ -23,22 +23,19 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from plr_jax._arrays import as_distances, as_finite, as_finite_point, as_points, padded, padded_size, parts, shortened
+from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible_in_parts
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import (
-    CellState,
-    CheckedSpace,
     ConfigurationSpace,
     CostMap,
-    FreeTest,
     MotionCost,
     PlaneSpace,
     cost_bounds,
@@ -102,12 +99,11 @@ class Descent:
 
 def descend(
     distance_fn: Field,
-    space: Workspace | ConfigurationSpace | FreeTest,
+    space: Workspace | ConfigurationSpace,
     starts: ArrayLike,
     goal: ArrayLike,
     *,
     cost_map: CostMap | None = None,
-    resolution: float | int | None = None,
 ) -> Descent:
     """Follow a distance function, or another cost-to-go, from many starts to its goal, by lookahead.
 
@@ -132,46 +128,52 @@ def descend(
             through free space, NumPy or JAX; ``inf`` where it has none. In units of what motions cost. It is
             evaluated within the domain of the space only, into which periodic coordinates are wrapped.
         space: Free space. A Workspace is free space of points; for the shortest paths of a disc, pass the inflated
-            workspace. Motions through a space that only tests configurations (:class:`FreeTest`), such as your own
-            collision checker, are tested at a ``resolution``.
+            workspace.
         starts: Where to begin, ``(n, dim)``.
         goal: Where to end, ``(dim,)``, in closed free space.
         cost_map: The factor of the motion cost that the field is a cost-to-go of; None: 1 everywhere.
-        resolution: For a space that only tests configurations, and no other: the largest cost of a motion between
-            two tests, in units of its ``motion_cost``. Thinner obstacles may be passed through.
 
     Returns:
         The paths, with a status for each start, their lengths and their costs. Costs by a cost map err by at most
         0.1 %, and far less where it is smooth.
 
     Raises:
-        ValueError: If the space is none, it only tests configurations and has no resolution, another space has one,
-            a motion takes more than 262,144 tests, a shape is wrong, the goal is not free, the field gives NaN or
-            another number of values, or the cost map a number that is not positive and finite.
+        ValueError: If the space is none, or only tests configurations, a shape is wrong, the goal is not free, the
+            field gives NaN or another number of values, or the cost map a number that is not positive and finite.
 
     References:
         "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
         visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite
         steps stand for gradients in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
-    if not isinstance(space, Workspace):
-        require_space(space)
-    if isinstance(space, ConfigurationSpace | Workspace) != (resolution is None):
-        raise ValueError(
-            "resolution, what a motion costs at most between two tests of it, is for a space that only tests "
-            f"configurations, and needed there, got {shortened(resolution)} for {shortened(space)}."
-        )
     if isinstance(space, Workspace) and cost_map is None:
-        return _along_corners(distance_fn, space, starts, goal)
-    if isinstance(space, Workspace):
-        space = PlaneSpace(space)
-    if not isinstance(space, ConfigurationSpace):
-        space = MotionTests(space, as_finite("resolution", resolution, positive=True))
-    if cost_map is not None and not isinstance(cost_map, CostMap):
-        raise ValueError(
-            f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
+        vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
+    else:
+        space = PlaneSpace(space) if isinstance(space, Workspace) else space
+        require_space(space)
+        if not isinstance(space, ConfigurationSpace):
+            raise ValueError(f"space must prove motions free, with classify and are_free, got {shortened(space)}.")
+        if cost_map is not None and not isinstance(cost_map, CostMap):
+            raise ValueError(
+                f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
+            )
+        vertices, counts, lengths, costs, is_free = _by_lookahead(
+            distance_fn, PathCosts(space, cost_map), starts, goal
         )
-    return _by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
+    reached = counts > 0
+    members = np.array([DescentStatus.REACHED, DescentStatus.STUCK, DescentStatus.START_NOT_FREE], dtype=object)
+    status = members[np.where(reached, 0, np.where(is_free, 1, 2))]
+    vertices = np.where(reached[:, None, None], vertices, np.nan)
+    return Descent(status, vertices, counts, np.where(reached, lengths, np.inf), np.where(reached, costs, np.inf))
+
+
+Chains: TypeAlias = tuple[
+    Float[np.ndarray, "n longest dim"],
+    Int[np.ndarray, "n"],
+    Float[np.ndarray, "n"],
+    Float[np.ndarray, "n"],
+    Bool[np.ndarray, "n"],
+]  # vertices, counts, lengths, costs, and whether starts are free
 
 
 def _chains(
@@ -190,26 +192,12 @@ def _chains(
     return vertices, np.where(places[:, -1] == 0, counts, 0)
 
 
-def _descent(
-    vertices: Float[np.ndarray, "n longest dim"],
-    counts: Int[np.ndarray, "n"],
-    lengths: Float[np.ndarray, "n"],
-    costs: Float[np.ndarray, "n"],
-    is_free: Bool[np.ndarray, "n"],
-) -> Descent:
-    reached = counts > 0
-    members = np.array([DescentStatus.REACHED, DescentStatus.STUCK, DescentStatus.START_NOT_FREE], dtype=object)
-    status = members[np.where(reached, 0, np.where(is_free, 1, 2))]
-    vertices = np.where(reached[:, None, None], vertices, np.nan)
-    return Descent(status, vertices, counts, np.where(reached, lengths, np.inf), np.where(reached, costs, np.inf))
-
-
 # Shortest paths in the plane, along corners.
 
 _NUM_WAYS = 2  # edges of a corner that the field chooses: the best one, and another in case the field errs a little
 
 
-def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Descent:
+def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
     starts, goal = map(workspace.bounds.settled, (starts, goal))
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
@@ -262,7 +250,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     first[at_corner] = onward[first[at_corner]]
     vertices, counts = _chains(starts, points, onward, first)
     lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
-    return _descent(vertices, counts, lengths, lengths, is_free)
+    return vertices, counts, lengths, lengths, is_free
 
 
 def _edges(
@@ -302,7 +290,6 @@ _STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # shares by which costs of steps
 _SAMPLES = 8  # of a motion whose cost is estimated
 _LEAST_SHARE = 1 / 16  # of a motion: shorter pieces may err by as much as a piece of this share
 _MOST_HALVINGS = 40
-_MOST_TESTS = 1 << 18  # of one motion, and at once
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
@@ -340,10 +327,6 @@ class PathCosts:
     space: ConfigurationSpace
     cost_map: CostMap | None
 
-    def lengths(self, q0: Points, q1: Points) -> Float[np.ndarray, "n"]:
-        """What motions cost where the factor is 1."""
-        return self.space.motion_cost.lengths(q0, q1, self.space.domain)
-
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
         """Estimates of the cost of motions from each configuration by some changes, from a few samples of each."""
         n, k, dof = changes.shape
@@ -368,7 +351,7 @@ class PathCosts:
             tolerance: The largest error, as a share of the cost.
         """
         if self.cost_map is None:
-            return self.lengths(q0, q1)
+            return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
         cost, change = np.zeros(len(q0)), domain.difference(q1, q0)
         # 1. Cut motions where they cross the seams of periodic axes.
@@ -400,42 +383,9 @@ class PathCosts:
         return cost
 
 
-@dataclass(frozen=True, eq=False)
-class MotionTests(CheckedSpace):
-    """A space that only tests configurations: motions count as free if they are free wherever they are tested."""
-
-    resolution: float
-
-    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
-        """Nothing is known of a whole box."""
-        return np.full(len(lo), CellState.MIXED, np.int8)
-
-    def are_free(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        """Whether all tests of each motion find it free."""
-        change, lengths = self.domain.difference(q1, q0), self.motion_cost.lengths(q0, q1, self.domain)
-        if (lengths > _MOST_TESTS * self.resolution).any():
-            raise ValueError(
-                f"resolution={self.resolution:g} asks for more than {_MOST_TESTS:,} tests of one motion, which costs "
-                f"{lengths.max():g}: give a larger one."
-            )
-        # First both ends, then between any two tests, and so on: most obstacles are found early.
-        free, halvings = self.is_free(q0) & self.is_free(q1), 0
-        while len(rows := np.flatnonzero(free & (lengths > self.resolution * 2**halvings))):
-            share = (np.arange(2**halvings) + 0.5) / 2**halvings
-            for part in parts(np.full(len(rows), len(share)), _MOST_TESTS):
-                motion = rows[part]
-                q = self.domain.wrapped(q0[motion, None] + share[:, None] * change[motion, None])
-                free[motion] = self.is_free(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).all(axis=1)
-            halvings += 1
-        return free
-
-
 # Paths by lookahead over finite steps.
 
-_LONGEST, _NUM_LENGTHS = (
-    1 / 4,
-    8,
-)  # longest step, as a share of the domain; number of lengths, each half the one before
+_LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain; lengths, each half the one before
 _FALL = 0.1  # least share of a step's cost by which the field falls along it
 _LONGER = 0.01  # by how much less steep a step may be that is twice as long
 _DEARER = 0.02  # share by which a step may cost more than its estimate
@@ -443,7 +393,7 @@ _MOST_EXPANSIONS = 1000  # of the search that fills a dent
 _CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
 
 
-def _by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Descent:
+def _by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
@@ -457,11 +407,11 @@ def _by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: Array
     first[is_free] = onward[nodes_of_starts]
     vertices, counts = _chains(starts, nodes, onward, first)
     begin, end = vertices[:, :-1].reshape(-1, domain.dim), vertices[:, 1:].reshape(-1, domain.dim)
-    lengths = costs.lengths(begin, end).reshape(len(starts), vertices.shape[1] - 1)
+    lengths = costs.space.motion_cost.lengths(begin, end, domain).reshape(len(starts), vertices.shape[1] - 1)
     prices = np.zeros(lengths.shape)
     moves = (counts > 0)[:, None] & (lengths > 0)
     prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
-    return _descent(vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free)
+    return vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free
 
 
 class _Lookahead:
@@ -615,10 +565,7 @@ class _Lookahead:
 
 _KNOWN = 1e-3  # share of the cost of two legs by which an estimate may err that is trusted to find the best place
 _GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
-_WIDEST_SHIFT, _NUM_SHIFTS = (
-    1 / 32,
-    8,
-)  # of nodes, as a share of the domain; number of shifts, each half the one before
+_WIDEST_SHIFT, _NUM_SHIFTS = 1 / 32, 8  # of nodes, as a share of the domain; shifts, each half the one before
 
 
 def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:

@@ -92,6 +92,22 @@ def far_from(goal):
     return lambda x: np.hypot(*(x - np.asarray(goal)).T)
 
 
+class Slow:
+    """Motions within a box cost more."""
+
+    def __init__(self, lo, hi, factor):
+        self.lo, self.hi, self.factor = np.array(lo), np.array(hi), factor
+
+    def __call__(self, q):
+        q = np.asarray(q)
+        return np.where(((q > self.lo) & (q < self.hi)).all(axis=1), self.factor, 1.0)
+
+    def bounds(self, lo, hi):
+        meets = ((hi > self.lo) & (lo < self.hi)).all(axis=1)
+        inside = ((lo > self.lo) & (hi < self.hi)).all(axis=1)
+        return np.where(inside, self.factor, 1.0), np.where(meets, self.factor, 1.0)
+
+
 class Climb:
     """Length, and so much more a unit of climbing, on ground with a gradient of the height."""
 

@@ -10,11 +10,12 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
-from space_helpers import Climb, far_from, nothing_known
+from space_helpers import Climb, Slow, far_from, nothing_known
 from space_helpers import rectangle as box
 
 from plr_jax import (
     LipschitzCost,
+    MotionCost,
     PlanarArm,
     PlaneSpace,
     RectangleRobot,
@@ -26,8 +27,9 @@ from plr_jax import (
     scenes,
     solve_eikonal,
 )
-from plr_jax._descend import DescentStatus, PathCosts
+from plr_jax._descend import DescentStatus, PathCosts, unit_motions
 from plr_jax.geometry.corners import find_corners
+from plr_jax.spaces import CheckedSpace
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 TEN = ((0, 0), (10, 10))
@@ -182,6 +184,7 @@ def test_no_starts_and_no_corners(space):
         (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (nothing_known, 3, [(1, 1)], (1, 1), None, "space must be a configuration space"),
+        (nothing_known, CheckedSpace(PlaneSpace(SQUARE)), [(1, 1)], (1, 1), None, "with classify and are_free"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (3, 1), None, "The goal .* not a free configuration"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (1, 1, 1), None, "The goal must be one point"),
         (nothing_known, SQUARE, [(1, 1)], (1, 1), 2.0, "cost_map must be a CostMap"),
@@ -285,22 +288,6 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(hall,
 
 
 # --- costs that are not lengths ---------------------------------------------------------------------------
-
-
-class Slow:
-    """Motions within a box cost more."""
-
-    def __init__(self, lo, hi, factor):
-        self.lo, self.hi, self.factor = np.array(lo), np.array(hi), factor
-
-    def __call__(self, q):
-        q = np.asarray(q)
-        return np.where(((q > self.lo) & (q < self.hi)).all(axis=1), self.factor, 1.0)
-
-    def bounds(self, lo, hi):
-        meets = ((hi > self.lo) & (lo < self.hi)).all(axis=1)
-        inside = ((lo > self.lo) & (hi < self.hi)).all(axis=1)
-        return np.where(inside, self.factor, 1.0), np.where(meets, self.factor, 1.0)
 
 
 SLOW_BEYOND = Slow((1, -1), (9, 9), SLOWNESS)
@@ -410,6 +397,46 @@ def test_costs_are_integrals_of_the_factor():
         (None, [math.sqrt(8), 1.0, 0.0], 1e-12),
     ):
         np.testing.assert_allclose(PathCosts(space, cost_map).integrals(a, b, 1e-3), expected, rtol=rtol)
+
+
+def test_integrals_across_a_seam_ask_within_the_domain():
+    space = RigidBodySpace(SQUARE, RectangleRobot(0.2, 0.1), rotation_weight=1.0)
+    lo, hi = space.domain.lo, space.domain.hi
+
+    class Inside:
+        """A factor of the heading, 1 + |heading|, that refuses what is outside the domain."""
+
+        def __call__(self, q):
+            assert ((q >= lo) & (q <= hi)).all()
+            return 1 + np.abs(q[:, 2])
+
+        def bounds(self, lo_, hi_):
+            assert (lo_ >= lo).all() and (hi_ <= hi).all()
+            ends = np.abs(np.stack([lo_[:, 2], hi_[:, 2]]))
+            least = np.where(lo_[:, 2] * hi_[:, 2] <= 0, 0.0, ends.min(axis=0))
+            return 1 + least, 1 + ends.max(axis=0)
+
+    q0, q1 = np.array([[1.0, 1.0, math.pi - 0.5]]), np.array([[1.0, 1.0, -math.pi + 0.5]])
+    # A turn of 1 over headings whose sizes run from pi - 0.5 up to pi and down again.
+    expected = 1 * (1 + math.pi - 0.25)
+    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q0, q1, 1e-3), expected, rtol=1e-6)
+    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q1, q0, 1e-3), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("motion", "num_axes_alone"),
+    [
+        (MotionCost((((0, 1), 1.0),)), 4),
+        (MotionCost((((0, 1), 1.0), ((2,), 0.3))), 6),
+        (MotionCost((((0,), 2.0),)), 2),
+    ],
+)
+def test_unit_motions_cost_one_and_are_as_many_as_their_opposites(motion, num_axes_alone):
+    steps = unit_motions(motion)
+    np.testing.assert_allclose(motion.norm(steps), 1.0, rtol=1e-12)
+    rounded = {tuple(step) for step in np.round(steps, 9) + 0.0}
+    assert rounded == {tuple(-np.array(step) + 0.0) for step in rounded}
+    assert sum(np.count_nonzero(step) == 1 for step in rounded) == num_axes_alone
 
 
 # --- bodies that turn, and arms --------------------------------------------------------------------------

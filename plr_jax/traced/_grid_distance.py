@@ -25,11 +25,13 @@ class GridDistance:
 
     Attributes:
         paths: What answers.
+        is_complete: Whether there were places for all corners: else answers are NaN. True of 4 and 8 moves.
         is_nan: Whether all answers are NaN, as a coordinate of the goal is.
         shape: Rows and columns.
     """
 
     paths: Steps | CornerPaths
+    is_complete: Bool[Array, "*maps"]
     is_nan: Bool[Array, "*maps"]
     shape: tuple[int, int] = field(metadata={"static": True})
 
@@ -38,11 +40,6 @@ class GridDistance:
         """Distances of the centers of all cells, found when they are asked for."""
         h, w = self.shape
         return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
-
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """Whether there were places for all corners: else answers are NaN. True of 4 and 8 moves."""
-        return self.paths.is_complete
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Distances of points.
@@ -72,14 +69,11 @@ class GridDistances:
 
     Attributes:
         paths: What answers.
+        is_complete: As :attr:`GridDistance.is_complete`.
     """
 
     paths: StepPairs | CornerPairs
-
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """As :attr:`GridDistance.is_complete`."""
-        return self.paths.is_complete
+    is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Distances of pairs of points.
@@ -170,25 +164,31 @@ def grid_distance(
     else:
         count = 0
     if point is None:
-        return GridDistances(_pairs(mask, moves, count))
-    return GridDistance(_paths(mask, _finite(point), moves, count), jnp.isnan(point).any(), (h, w))
+        pairs, is_complete = _pairs(mask, moves, count)
+        return GridDistances(pairs, is_complete)
+    paths, is_complete = _paths(mask, _finite(point), moves, count)
+    return GridDistance(paths, is_complete, jnp.isnan(point).any(), (h, w))
 
 
 # Compiled one by one for who calls them outside of ``jit``.
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
-def _paths(free: Mask, goal: Float[Array, "2"], moves: Moves, count: int) -> Steps | CornerPaths:
-    if moves == "any-angle":
-        return CornerPaths.to(convex_corners(free, count), goal)
-    return Steps.to(free, goal, moves)
+def _paths(
+    free: Mask, goal: Float[Array, "2"], moves: Moves, count: int
+) -> tuple[Steps | CornerPaths, Bool[Array, ""]]:
+    if moves != "any-angle":
+        return Steps.to(free, goal, moves), jnp.array(True)
+    corners, is_complete = convex_corners(free, count)
+    return CornerPaths.to(corners, goal), is_complete
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
-def _pairs(free: Mask, moves: Moves, count: int) -> StepPairs | CornerPairs:
-    if moves == "any-angle":
-        return CornerPairs.of(convex_corners(free, count))
-    return StepPairs.of(free, moves)
+def _pairs(free: Mask, moves: Moves, count: int) -> tuple[StepPairs | CornerPairs, Bool[Array, ""]]:
+    if moves != "any-angle":
+        return StepPairs.of(free, moves), jnp.array(True)
+    corners, is_complete = convex_corners(free, count)
+    return CornerPairs.of(corners), is_complete
 
 
 @jax.jit

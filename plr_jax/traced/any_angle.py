@@ -143,13 +143,11 @@ class Corners:
         free: The grid.
         index: Which corner inside the grid each place holds, row by row.
         is_convex: Which places hold one at which paths can bend.
-        is_complete: Whether there are places for all.
     """
 
     free: Bool[Array, "*maps h w"]
     index: Int32[Array, "*maps corners"]
     is_convex: Bool[Array, "*maps corners"]
-    is_complete: Bool[Array, "*maps"]
 
     @property
     def _is_lattice(self) -> bool:
@@ -211,17 +209,17 @@ def places(shape: Shape) -> int:
     return inside if inside <= _ALL_KEPT else -(-inside // 2)
 
 
-def convex_corners(free: Mask, count: int) -> Corners:
-    """The corners of a grid at which paths can bend, in so many places."""
+def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
+    """The corners of a grid at which paths can bend, in so many places, and whether there are places for all."""
     # A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked.
     free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
     is_convex = jnp.sum(~around, axis=0) == 1
     if count >= is_convex.size:
-        return Corners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex, jnp.array(True))
+        return Corners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex), jnp.array(True)
     index = jnp.nonzero(is_convex, size=count, fill_value=0)[0].astype(jnp.int32)
     found = is_convex.sum()
-    return Corners(free, index, jnp.arange(count) < found, found <= count)
+    return Corners(free, index, jnp.arange(count) < found), found <= count
 
 
 def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
@@ -281,11 +279,6 @@ class CornerPaths:
         from_goal = _length(seen, goal[None], corners.points(goal.dtype))
         return cls(corners, from_seen(lengths, from_goal), goal)
 
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """Whether there are places for all corners."""
-        return self.corners.is_complete
-
     @jax.jit
     def cells(self) -> Float[Array, "h w"]:
         """Those of the centers of cells."""
@@ -328,11 +321,6 @@ class CornerPairs:
         # Floyd and Warshall
         between = lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
         return cls(corners, between)
-
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """Whether there are places for all corners."""
-        return self.corners.is_complete
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
         """Those of pairs of points."""

@@ -95,11 +95,6 @@ class Steps:
         start = marked(free.shape, *lowest) | marked(free.shape, *highest)
         return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
 
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """True: there are places for all cells."""
-        return jnp.array(True)
-
     def cells(self) -> Distances:
         """That of each cell."""
         return self.table
@@ -127,11 +122,6 @@ class StepPairs:
         rows, columns = jnp.indices(free.shape, dtype=jnp.int32).reshape(2, -1)
         to_cell = jax.vmap(lambda row, column: distances(free, marked(free.shape, row, column), moves))
         return cls(to_cell(rows, columns).reshape(free.shape * 2))
-
-    @property
-    def is_complete(self) -> Bool[Array, ""]:
-        """True: there are places for all cells."""
-        return jnp.array(True)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
         """Those of pairs of points."""

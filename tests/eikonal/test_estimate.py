@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from eikonal_helpers import ROOM, BoxSpace
-from space_helpers import Climb, rectangle
+from space_helpers import Climb, Slow, rectangle
 
-from plr_jax import LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, Workspace
+from plr_jax import LipschitzCost, PlaneSpace, VisibilityGraph, Workspace
 from plr_jax.eikonal.estimate import swept_estimate
 from plr_jax.geometry.box import Box
 
@@ -98,9 +98,9 @@ def test_walls_in_space_are_gone_around_and_no_way_is_shorter_than_straight():
 @pytest.mark.parametrize("jump", [3.0, 20.0])
 def test_where_costs_jump_nothing_is_below_what_is_possible(jump):
     """Across a border of two halves by Snell's law; no way is shorter than the straight one at the lower cost."""
-    cost = RasterCost([[1.0, jump]], ((0, 0), (2, 1)), "nearest")
-    q = samples(cost.domain)
-    found = estimate_of(cost.space(), (0.25, 0.5), 3_000, cost)(q)
+    space, cost = PlaneSpace(Workspace(((0, 0), (2, 1)))), Slow((1, -1), (9, 9), jump)
+    q = samples(space.domain)
+    found = estimate_of(space, (0.25, 0.5), 3_000, cost)(q)
     border = np.linspace(0, 1, 4_001)
     beyond = np.maximum(q[:, :1] - 1, 0)
     crossing = np.hypot(0.75, border - 0.5) + jump * np.hypot(beyond, border - q[:, 1:])
