@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
-from plr_jax.collision.team import JointMotionTest, Traffic, circles, circles_along, motions_apart, within_reach
+from plr_jax.collision.team import JointMotionTest, Traffic, circles, motions_apart, within_reach
 from plr_jax.collision.walls import MotionTest
 
 TOLERANCE = 1e-9
@@ -165,14 +165,6 @@ def test_motions_meet_others_as_they_are_not_apart_from_them():
             assert found[k] == ~CROWD_TEST.apart(i, begin[[k]], end[[k]], j, *theirs)[0]
         collisions += found.sum()
     assert 100 < collisions < 150 * len(CROWD)
-
-
-def test_a_circle_around_one_motion_is_tight_and_those_along_a_path_are_of_each_motion():
-    x, y, radius = circles(np.array([[(1.0, 2.0)]]), np.array([[(4.0, 6.0)]]))
-    np.testing.assert_allclose((x[0], y[0], radius[0]), (2.5, 4.0, 2.5))
-    for k in (1, 4):
-        q = np.random.default_rng(k).normal(0, 2, (6, k, 3))
-        np.testing.assert_array_equal(circles_along(q), circles(q[:-1], q[1:]))
 
 
 def test_nobody_far_away_is_near():

@@ -5,7 +5,7 @@ import pytest
 import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
-from piece_helpers import TEN, WORKSPACES, as_pieces, box, fan_workspace, points_of, polygons
+from piece_helpers import TEN, WORKSPACES, as_pieces, box, fan_workspace, points_of
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.boundary import triangulate
@@ -41,18 +41,6 @@ def one_sided(workspace, shadows):
     """Viewpoints but for contacts of obstacles: these look into one side of them, where Shapely knows of none."""
     contacts = workspace.boundary.vertices[workspace.boundary.contacts]
     return np.flatnonzero(~(shadows.table.points[:, None] == contacts).all(axis=2).any(axis=1))
-
-
-def shade(workspace, view):
-    """The twin: what the edges of free space hide from a viewpoint, each the strip behind it."""
-    ends = workspace.boundary.segments
-    away = ends - view
-    with np.errstate(invalid="ignore"):  # at an end of an edge, which hides nothing from there
-        u, v = np.moveaxis(away / np.linalg.norm(away, axis=2, keepdims=True), 1, 0)
-    hides = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) > 1e-9
-    middle = (u + v) / np.linalg.norm(u + v, axis=1, keepdims=True)
-    far = view + 100 * np.stack([v, middle, u], axis=1)
-    return shapely.union_all(shapely.polygons(np.concatenate([ends, far], axis=1)[hides]))
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -95,29 +83,6 @@ def check_pairs_of_points(kind, seed, squeeze, triangles_of):
         sight = shapely.LineString([from_view[row], x[row, at]])
         assert shapely.distance(shapely.points(passed), sight).min() <= workspace.tolerance
     assert alike.mean() > 0.5
-
-
-@pytest.mark.parametrize("kind", WORKSPACES)
-@given(st.integers(0, 100_000))
-def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
-    rng = np.random.default_rng(seed)
-    workspace = kind(rng)
-    shadows = shadows_around(workspace, *workspace.sample_free(1, seed))
-    pieces = free_pieces(triangulate(workspace.free_space), rng, 30)
-    shapes, area = np.array(polygons(pieces)), areas(pieces)
-    each, alike_of_whole = np.arange(len(area)), []
-    for view in one_sided(workspace, shadows)[[0, *rng.integers(len(one_sided(workspace, shadows)), size=4)]]:
-        shadow = shade(workspace, shadows.table.points[view])
-        hidden = shapely.area(shapely.intersection(shapes, shadow)) / area
-        again = shapely.area(shapely.intersection(shadow, shapes)) / area
-        seen, alike = shadows.see(np.full(len(area), view), pieces, pieces.mean(axis=2).T)
-        clear = (area > 1e-6) & (np.abs(hidden - again) < 1e-9)  # Shapely errs where the order matters
-        parted = (hidden > 1e-6) & (hidden < 1 - 1e-6) & clear
-        whole = ((hidden < 1e-13) | (hidden > 1 - 1e-13)) & clear
-        assert not alike[parted].any(), each[parted & alike]
-        np.testing.assert_array_equal(seen[whole], hidden[whole] < 0.5)
-        alike_of_whole.append(alike[whole])
-    assert np.mean(np.concatenate(alike_of_whole)) > 0.9 if sum(map(len, alike_of_whole)) > 50 else True
 
 
 @given(st.integers(0, 100_000))

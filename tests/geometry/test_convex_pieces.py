@@ -26,22 +26,6 @@ def check_left(kept, exact):
         np.testing.assert_allclose(piece.area, polygon.area, rtol=1e-6, atol=1e-11)
 
 
-@given(SEEDS)
-def test_what_a_line_leaves_is_what_shapely_leaves(seed):
-    rng = np.random.default_rng(seed)
-    pieces = random_pieces(rng, 12)
-    angle = rng.uniform(0, 2 * np.pi)
-    normal = np.array([np.cos(angle), np.sin(angle)])
-    across = normal @ pieces.mean(axis=(1, 2)) + rng.normal(0, 1)
-    height = np.einsum("d,dpc->pc", normal, pieces) - across
-    reach = (height > 0).any(axis=1)
-    kept = clip(pieces[:, reach], height[reach])
-    foot, along = across * normal, 1e3 * np.array([-normal[1], normal[0]])
-    beyond = shapely.Polygon([foot + along, foot - along, foot - along + 1e3 * normal, foot + along + 1e3 * normal])
-    check_left(kept, [before.intersection(beyond) for before in polygons(pieces[:, reach])])
-    assert (areas(kept) >= -1e-12).all()
-
-
 def test_cutting_a_piece_over_and_over_through_its_own_corners_keeps_room():
     """Where lines meet corners up to rounding, corners double up, yet never beyond the room there is."""
     rng = np.random.default_rng(0)

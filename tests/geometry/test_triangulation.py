@@ -50,13 +50,6 @@ def test_a_wall_that_the_delaunay_triangulation_crosses_is_put_in():
     check(workspace)
 
 
-@given(SEEDS)
-def test_grown_obstacles_are_triangulated(seed):
-    rng = np.random.default_rng(seed)
-    obstacles = [rng.uniform(0, 10, 2) + rng.uniform(-1, 1, (3, 2)) for _ in range(8)]
-    check(Workspace(TEN, obstacles).inflate(0.2))
-
-
 @given(SEEDS, st.sampled_from([0.0, 0.3, 1.0]))
 def test_free_space_is_filled_between_its_walls_and_points_are_found_in_the_triangle_that_holds_them(seed, turn):
     workspace = lattice_workspace(seed, turn)

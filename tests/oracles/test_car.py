@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax import Dubins, Euclidean, ReedsShepp, Roadmap, Workspace
-from plr_jax._types import SymmetricFn, Symmetry
+from plr_jax import Dubins, Euclidean, ReedsShepp
+from plr_jax._types import SymmetricFn
 
 PI, RADIUS = np.pi, 1.7
 GOAL = np.array([0.3, -0.8, 2.2])
@@ -202,9 +202,3 @@ def test_images_by_isometries_that_keep_the_goal_are_as_far_from_it(oracle, numb
         assert np.abs(symmetry.matrix - np.eye(oracle.dim)).max() > 0.1
         np.testing.assert_allclose(symmetry.matrix @ symmetry.matrix.T, np.eye(oracle.dim), atol=1e-15)
         np.testing.assert_allclose(image(symmetry, oracle.goal), oracle.goal, atol=1e-15)
-
-
-def test_a_roadmap_states_none_and_there_are_those_about_a_point():
-    assert not isinstance(Roadmap.from_workspace(Workspace(((0, 0), (1, 1))), (0.5, 0.5), 5), SymmetricFn)
-    turn = Symmetry.about(np.array([1.0, 2.0]), np.array([[0.0, -1.0], [1.0, 0.0]]))
-    np.testing.assert_allclose(image(turn, np.array([3.0, 2.0])), (1, 4))

@@ -9,7 +9,6 @@ from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
 from plr_jax import Box, VisibilityGraph, Workspace
-from plr_jax.geometry.cell_family import SharedSources
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.tree import Cells
 
@@ -251,21 +250,3 @@ def test_parts_that_are_alike_are_settled_once():
     np.testing.assert_array_equal(parts.pieces, alone.pieces)
     np.testing.assert_array_equal(parts.by_all, alone.by_all)
     np.testing.assert_array_equal(parts.views(parts.source), alone.views(alone.source))
-
-
-def test_cones_have_the_numbers_that_a_dictionary_would_give_them():
-    """Those that are alike have one number, for ever."""
-    points = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.25]])  # two corners, then two goals
-    rng, cones, known = np.random.default_rng(0), SharedSources(points, num_turns=4, step=0.125), {}
-    assert len(cones.sources.points) == len(cones.numbers(np.zeros(0, np.int64), np.zeros(0))) == 0
-    for _ in range(5):
-        kind, steps = rng.integers(0, 8, 40), rng.integers(0, 4, 40)
-        found = cones.numbers(kind, 0.125 * (steps + rng.uniform(-0.4, 0.4, 40)))  # nearer than half a step is alike
-        expected = [known.setdefault(each, len(known)) for each in zip(kind.tolist(), steps.tolist(), strict=True)]
-        np.testing.assert_array_equal(found, expected)
-        kinds, steps = np.array(list(known)).T
-        np.testing.assert_array_equal(cones.kind, kinds)
-        np.testing.assert_array_equal(cones.sources.points, points[kinds // 2])
-        np.testing.assert_array_equal(cones.sources.distances, 0.125 * steps)
-        np.testing.assert_array_equal(cones.view, kinds // 2)
-        np.testing.assert_array_equal(cones.turn, [kind if kind < 4 else -1 for kind in kinds])

@@ -268,29 +268,18 @@ SAMPLED = {"is_visible": None, "resolution": 0.1}
         ({"goal": (0.5, 0.5)}, "not free; move it"),
         ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
         ({"goal": (np.nan, 0.5)}, "finite coordinates"),
-        ({"goal": ("a", 0)}, "The goal must be numbers"),
         ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
-        ({"domain": (0, 1)}, "Box lo must be one point"),
         ({"domain": 3.0}, "The domain must be a Box"),
         ({"num_samples": 0}, "num_samples"),
-        ({"num_samples": 1e3}, "num_samples"),
         ({"is_visible": None}, "Give either is_visible"),
         ({"resolution": 0.1}, "Give either is_visible"),
         ({"is_visible": None, "resolution": 0.0}, "resolution must be a positive finite number"),
-        ({"is_visible": None, "resolution": np.nan}, "resolution must be a positive finite number"),
         ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
-        ({"is_visible": lambda a, b: True}, "is_visible must return one boolean"),
         ({"is_visible": lambda a, b: np.ma.masked_equal(a[:, 0] < 2, True)}, "is_visible .* some masked"),
         ({"is_free": lambda x: np.all(x < 1e-3, axis=1), "goal": (0, 0), **SAMPLED}, "tighten the domain"),
         ({"is_free": lambda x: np.ones(len(x)), **SAMPLED}, "is_free must return one boolean"),
-        ({"is_free": lambda x: x > 0, **SAMPLED}, "is_free must return one boolean"),
-        ({"is_free": lambda x: np.True_, **SAMPLED}, "is_free must return one boolean"),
-        ({"is_free": lambda x: None, **SAMPLED}, "is_free must return one boolean"),
         ({"weights": (1.0, 0.0)}, r"weights must be positive, one an axis, got \[1.0, 0.0\]"),
-        ({"weights": (1.0, -2.0)}, "weights must be positive"),
-        ({"weights": (1.0, np.inf)}, "weights must have finite coordinates"),
         ({"weights": (1.0,)}, r"weights must be one point of shape \(2,\)"),
-        ({"weights": 2.0}, "weights must be one point"),
     ],
 )
 def test_bad_arguments_are_refused(change, message):
@@ -303,12 +292,3 @@ def test_bad_arguments_are_refused(change, message):
     }
     with pytest.raises((ValueError, TypeCheckError), match=message):
         Roadmap(**good | change)
-
-
-@pytest.mark.parametrize("x", [[0.1, 0.2], [[0.1, 0.2, 0.3]], 0.5, [[[0.1, 0.2]]]])
-def test_points_of_the_wrong_shape_are_refused(x):
-    oracle = roadmap(NOTHING, num_samples=10)
-    with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
-        oracle(x)
-    with pytest.raises(ValueError, match=r"shape \(2,\)"):
-        oracle.shortest_path([x])

@@ -83,12 +83,6 @@ def test_goals_on_walls_and_corners(wall, goal, from_left, from_right):
         np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
 
 
-@pytest.mark.parametrize("goal", [(4, 8), (6, 8)])
-def test_directions_to_goals_on_corners(wall, goal):
-    directions = wall.with_goal(goal).directions(np.array([[4.0, 8.0], [6, 8]]))
-    np.testing.assert_array_equal(directions, [(0, 0), (-1, 0)] if goal == (4, 8) else [(1, 0), (0, 0)])
-
-
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
     oracle = VisibilityGraph(Workspace(TEN, [box(3, 3, 5, 5), box(5, 5, 7, 7)], squeeze=squeeze), (1, 1))
@@ -138,11 +132,9 @@ def test_what_follows_from_the_rest_is_not_pickled():
         (lambda wall: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
         (lambda wall: VisibilityGraph(WALL, (1, np.nan)), "finite"),
         (lambda wall: VisibilityGraph(WALL, (1, 2, 3)), r"goal must be one point of shape \(2,\), got shape \(3,\)"),
-        (lambda wall: wall(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
         (lambda wall: wall(np.zeros((5, 3))), r"\(n, 2\), got \(5, 3\)"),
         (lambda wall: wall.directions(np.zeros(2)), r"x must have shape \(n, 2\)"),
         (lambda wall: wall.between(np.zeros((2, 2)), np.zeros((3, 2))), "as many points, got 2 and 3"),
-        (lambda wall: wall.between(np.zeros(2), np.zeros((1, 2))), r"x must .*\(n, 2\)"),
         (lambda wall: wall.between(np.zeros((1, 2)), np.zeros((1, 3))), r"y must .*\(n, 2\)"),
         (lambda wall: VisibilityGraph(WALL, [(1, 1), (2, 2), (3, 3)]), r"one point .* shape \(3, 2\).*NearestGoal"),
         (lambda wall: wall.shortest_path(np.zeros((1, 2))), r"The start must be one point of shape \(2,\)"),
