@@ -216,7 +216,14 @@ def _require_connected(problem: Problem) -> None:
         # Less the tolerance, so that a passage exactly as wide as the disc stays open.
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)
         if radius not in labels:
-            labels[radius] = _components(workspace.inflate(radius))
+            grown = workspace.inflate(radius)
+            parts = shapely.get_parts(grown.free_space)
+            i_part, j_part = np.zeros((2, 0), dtype=int)
+            if grown.squeeze:
+                i_part, j_part = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=grown.tolerance)
+            touches = np.ones(len(i_part)), (i_part, j_part)
+            graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
+            labels[radius] = parts, connected_components(graph)[1]
         parts, label = labels[radius]
         ends = (shapely.Point(q[i, :2]) for q in (problem.starts, problem.goals))
         first, last = (label[np.argmin(shapely.distance(end, parts))] for end in ends)
@@ -226,16 +233,6 @@ def _require_connected(problem: Problem) -> None:
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
                 f"{problem.starts[i].tolist()}: obstacles leave no way for {body} between them."
             )
-
-
-def _components(workspace: Workspace) -> tuple[Any, Any]:
-    """Parts of free space, and for each the connected component it belongs to."""
-    parts = shapely.get_parts(workspace.free_space)
-    i, j = np.zeros((2, 0), dtype=int)
-    if workspace.squeeze:
-        i, j = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
-    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(parts), len(parts)))
-    return parts, connected_components(graph)[1]
 
 
 def separation(a: Any, b: Any) -> float:

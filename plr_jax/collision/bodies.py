@@ -266,16 +266,15 @@ def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdi
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
-        distances.append(_distance_to_box(u, v, *a.size))
+        # Signed distance of the point to the box, negative inside.
+        beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
+        distances.append(
+            np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
+        )
     bulge, _ = riding_bulges(a, b, *b.size)  # a point has no rim
     nearer = np.minimum(*distances)
     clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
     return clear, (nearer < reach) | ((a.turn == 0) & ~clear)
-
-
-def judge_point_and_box(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """A point and a box."""
-    return judge_box_and_point(b, a, reach)
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
@@ -295,12 +294,6 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
     """How far a box reaches from its center along a direction."""
     (c, s), (half_length, half_width) = heading, body.size
     return half_length * np.abs(c * nx + s * ny) + half_width * np.abs(c * ny - s * nx)
-
-
-def _distance_to_box(x: Column, y: Column, half_x: Column, half_y: Column) -> Column:
-    """Signed distance of points to boxes about the origin, negative inside."""
-    x, y = np.abs(x) - half_x, np.abs(y) - half_y
-    return np.hypot(np.maximum(x, 0), np.maximum(y, 0)) + np.minimum(np.maximum(x, y), 0)
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:

@@ -21,7 +21,6 @@ from plr_jax.collision.bodies import (
     judge_box_and_point,
     judge_boxes,
     judge_convex,
-    judge_point_and_box,
     moving,
 )
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -103,18 +102,19 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
     """Circles around the ways from any of ``k`` positions to any of ``l``, in each row."""
-    return _between(*_around(begin), *_around(end))
+    return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
     """Circles around the ways from any of the positions in a row to any in the next."""
     around = _around(q)
-    return _between(*(column[:-1] for column in around), *(column[1:] for column in around))
+    return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
 
-def _between(x0: Column, y0: Column, radius0: Column, x1: Column, y1: Column, radius1: Column) -> Circles:
+def _between(one: Circles, other: Circles) -> Circles:
     """Circles around the ways from anywhere within some circles to anywhere within others."""
-    return Circles((x0 + x1) / 2, (y0 + y1) / 2, np.hypot(x1 - x0, y1 - y0) / 2 + np.maximum(radius0, radius1))
+    radius = np.hypot(other.x - one.x, other.y - one.y) / 2 + np.maximum(one.radius, other.radius)
+    return Circles((one.x + other.x) / 2, (one.y + other.y) / 2, radius)
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
@@ -178,13 +178,13 @@ def motions_apart(
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
     judge, size_a, size_b = judge_convex, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
-        kernels = {(True, True): judge_boxes, (True, False): judge_box_and_point, (False, True): judge_point_and_box}
-        judge, size_a, size_b = kernels[bool(half_a.any()), bool(half_b.any())], half_a, half_b
+        judge, size_a, size_b = judge_boxes if half_a.any() and half_b.any() else judge_box_and_point, half_a, half_b
+    is_swapped = judge is judge_box_and_point and not size_a.any()  # the box is first
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
-        apart[rows] = bisect(judge, a, b, reach, deadline)
+        apart[rows] = bisect(judge, *((b, a) if is_swapped else (a, b)), reach, deadline)
     return apart
 
 

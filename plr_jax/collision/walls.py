@@ -27,7 +27,6 @@ _POINT_CELLS = 128
 _PURPOSE = "all motions were tested"
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
-Edges: TypeAlias = Float[np.ndarray, "n 2 2"]
 
 
 class MotionTest:
@@ -142,29 +141,38 @@ class MotionTest:
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
         """Whether pieces of motions keep off the edges near their cells."""
-        index, piece = run_members(self._first, cell)
-        edges = self.workspace.boundary.segments[self._edge[index]]
-        distance = _distance_to_edges(pieces.take(piece), edges)
-        clear = np.ones(len(cell), dtype=bool)
-        clear[piece[distance < self.robot.inscribed_radius - self.workspace.tolerance]] = False
-        if self.robot.inscribed_radius < self.robot.circumscribed_radius:
-            near = np.flatnonzero((distance < self.robot.circumscribed_radius) & clear[piece])
-            keeps_off = self._keep_off(pieces.take(piece[near]), edges[near], deadline)
-            clear[piece[near][~keeps_off]] = False
-        return clear
-
-    def _keep_off(self, pieces: MovingBodies, edges: Edges, deadline: float) -> Booleans:
-        """Whether pieces of motions keep off one edge each: a body at rest, a box of no width or of two vertices."""
-        reach, half = self.robot.rounding - self.workspace.tolerance, self.robot.half_sides
-        center, tangent, rest = edges.mean(axis=1), edges[:, 1] - edges[:, 0], np.zeros(len(edges))
+        robot, tolerance = self.robot, self.workspace.tolerance
+        index, owner = run_members(self._first, cell)
+        edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
+        # 1. Distances of the segments that centers run along to the edges, zero where they cross.
+        near, tangent = pieces.take(owner), edges[:, 1] - edges[:, 0]
+        length = np.hypot(tangent[:, 0], tangent[:, 1])
+        c, s = tangent[:, 0] / length, tangent[:, 1] / length
+        x, y = near.x - edges[:, 0, 0], near.y - edges[:, 0, 1]
+        u, v = c * x + s * y, c * y - s * x
+        du, dv = c * near.dx + s * near.dy, c * near.dy - s * near.dx
+        ends = [np.hypot(w - np.clip(w, 0.0, length), z) for w, z in ((u, v), (u + du, v + dv))]
+        corners = [distance_to_segment(w, v, du, dv) for w in (u, u - length)]
+        crossing = u - v * np.divide(du, dv, out=np.zeros_like(du), where=dv != 0)
+        crosses = (v * (v + dv) < 0) & (crossing >= 0) & (crossing <= length)
+        distance = np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))
+        clear[owner[distance < robot.inscribed_radius - tolerance]] = False
+        if robot.inscribed_radius == robot.circumscribed_radius:
+            return clear
+        # 2. The others beside one edge each: a body at rest, a box of no width or of two vertices.
+        doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[owner])
+        edges, tangent, rest = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
+        reach, half, center = robot.rounding - tolerance, robot.half_sides, edges.mean(axis=1)
         if half is not None and reach <= 0:
             judge, size, theta = judge_boxes, half, np.arctan2(tangent[:, 1], tangent[:, 0])
-            of_edges = np.stack([np.hypot(tangent[:, 0], tangent[:, 1]) / 2, rest])
+            of_edges = np.stack([length[doubtful] / 2, rest])
         else:
-            judge, size, theta = judge_convex, self.robot.core.T, rest
+            judge, size, theta = judge_convex, robot.core.T, rest
             of_edges = (edges - center[:, None]).transpose(2, 1, 0)
         flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, rest, rest, rest)
-        return bisect(judge, pieces.sized(size), flat, reach, deadline)
+        keeps_off = bisect(judge, near.take(doubtful).sized(size), flat, reach, deadline)
+        clear[owner[doubtful[~keeps_off]]] = False
+        return clear
 
 
 class Indifferent(float):
@@ -199,18 +207,3 @@ def _pieces(
     whole = whole.take(owner)
     pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
     return MovingBodies(whole.size, *pose, *(rate * share for rate in whole[4:])), owner
-
-
-def _distance_to_edges(pieces: MovingBodies, edges: Edges) -> Column:
-    """Distance of the segment that each piece's center runs along to an edge, zero where they cross."""
-    tangent = edges[:, 1] - edges[:, 0]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    c, s = tangent[:, 0] / length, tangent[:, 1] / length
-    x, y = pieces.x - edges[:, 0, 0], pieces.y - edges[:, 0, 1]
-    u, v = c * x + s * y, c * y - s * x
-    du, dv = c * pieces.dx + s * pieces.dy, c * pieces.dy - s * pieces.dx
-    ends = [np.hypot(w - np.clip(w, 0.0, length), z) for w, z in ((u, v), (u + du, v + dv))]
-    corners = [distance_to_segment(w, v, du, dv) for w in (u, u - length)]
-    crossing = u - v * np.divide(du, dv, out=np.zeros_like(du), where=dv != 0)
-    crosses = (v * (v + dv) < 0) & (crossing >= 0) & (crossing <= length)
-    return np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))

@@ -343,15 +343,13 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     return polygon
 
 
-def as_components(
-    components: Sequence[Any],
-) -> tuple[list[Polygon | MultiPolygon], list[list[Polygon | MultiPolygon]]]:
-    """The outer rings, and the holes of each, of components ``{"outer": ring, "holes": [ring, ...]}``.
+def components_region(components: Sequence[Any], bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
+    """Bounds, and what components ``{"outer": ring, "holes": [ring, ...]}`` cover of them, up to rounding.
 
     A Shapely polygon is a component, too, its own holes being a part of what is called its outer ring here.
 
     Raises:
-        ValueError: If there is no component, or one has another form or an invalid ring.
+        ValueError: If there is no component, one has another form or an invalid ring, or the bounds are none.
     """
     outers, holes = [], []
     for i, part in enumerate(components):
@@ -369,18 +367,13 @@ def as_components(
         holes.append([as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)])
     if not outers:
         raise ValueError("Free space needs at least one component, got none.")
-    return outers, holes
-
-
-def united_within(bounds: Box, outers: list[Any], holes: list[list[Any]]) -> Any:
-    """What outer rings less the holes of each cover of bounds, up to rounding, as a MultiPolygon."""
-    box = shapely.box(*bounds.lo, *bounds.hi)
-    rings = [box, *outers, *(hole for of_one in holes for hole in of_one)]
+    bounds = as_bounds(shapely.total_bounds(outers).reshape(2, 2) if bounds is None else bounds)
+    rings = [shapely.box(*bounds.lo, *bounds.hi), *outers, *(hole for of_one in holes for hole in of_one)]
     merged = iter(merge_vertices(rings, 8 * grid_of(bounds)))
     box, outers = next(merged), [next(merged) for _ in outers]
     blocked = [shapely.union_all([next(merged) for _ in of_one]) for of_one in holes]
     united = shapely.union_all(shapely.difference(outers, blocked))
-    return MultiPolygon(polygons_of(shapely.intersection(box, united)))
+    return bounds, MultiPolygon(polygons_of(shapely.intersection(box, united)))
 
 
 def rounding_of(bounds: Box) -> float:

@@ -101,33 +101,7 @@ class Shadows:
         """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
         point, tolerance = self.table.points[view], self.table.tolerance
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
-        first, last, wraps = self._directions(view, pieces)
-        # Shadows whose directions lie strictly inside each piece that does not hold its viewpoint.
-        some = np.flatnonzero(~contain(pieces, point[:, None], tolerance)[:, 0])
-        again = some[wraps[some]]  # those on both sides of the cut are looked up twice
-        begin = 4.0 * view[np.concatenate([some, again])]
-        end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
-        begin[: len(some)] += first[some]
-        low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
-        run, place = runs(np.maximum(high - low, 0))
-        shadow, owner = low[run] + place, np.concatenate([some, again])[run]
-        # A shadow crosses a piece if it holds the middle of the chord that its ray cuts out.
-        ux, uy = self.unit[shadow].T[:, :, None]
-        dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
-        along, beside = ux * dx + uy * dy, ux * dy - uy * dx
-        next_along, next_beside = following(along), following(beside)
-        crosses = (beside >= 0) != (next_beside >= 0)
-        share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
-        at = along + share * (next_along - along)
-        near, far = lowest(np.where(crosses, at, np.inf)), highest(np.where(crosses, at, -1.0))
-        middle = np.where(far > 0, (near + far) / 2, np.inf)
-        is_whole[owner[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
-        return seen, is_whole
-
-    def _directions(
-        self, view: Int[np.ndarray, "pieces"], pieces: Pieces
-    ) -> tuple[Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"], OfPieces]:
-        """First and last key strictly inside each piece, and whether the cut lies between them."""
+        # 1. First and last key strictly inside each piece, and whether the cut lies between them.
         dx = pieces[0] - self.table.points[view, 0, None]
         dy = pieces[1] - self.table.points[view, 1, None]
         cx, cy = self.table.cut[view].T[:, :, None]
@@ -141,7 +115,28 @@ class Shadows:
         first = lowest(np.where(apart, key + blur, np.inf))
         last = highest(np.where(apart, key - blur, -np.inf))
         beyond = np.where(first >= 4, 4.0, 0.0)
-        return first - beyond, last - beyond, wraps & (first < 4)
+        first, last, wraps = first - beyond, last - beyond, wraps & (first < 4)
+        # 2. Shadows whose directions lie strictly inside each piece that does not hold its viewpoint.
+        some = np.flatnonzero(~contain(pieces, point[:, None], tolerance)[:, 0])
+        again = some[wraps[some]]  # those on both sides of the cut are looked up twice
+        begin = 4.0 * view[np.concatenate([some, again])]
+        end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
+        begin[: len(some)] += first[some]
+        low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
+        run, place = runs(np.maximum(high - low, 0))
+        shadow, owner = low[run] + place, np.concatenate([some, again])[run]
+        # 3. A shadow crosses a piece if it holds the middle of the chord that its ray cuts out.
+        ux, uy = self.unit[shadow].T[:, :, None]
+        dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
+        along, beside = ux * dx + uy * dy, ux * dy - uy * dx
+        next_along, next_beside = following(along), following(beside)
+        crosses = (beside >= 0) != (next_beside >= 0)
+        share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
+        at = along + share * (next_along - along)
+        near, far = lowest(np.where(crosses, at, np.inf)), highest(np.where(crosses, at, -1.0))
+        middle = np.where(far > 0, (near + far) / 2, np.inf)
+        is_whole[owner[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
+        return seen, is_whole
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:

@@ -41,10 +41,6 @@ class TriangleSources:
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 
-    def first(self, num_triangles: int) -> Int[np.ndarray, "triangles_plus_one"]:
-        """The first pair of each triangle, of pairs in their order, and the number of pairs."""
-        return np.searchsorted(self.triangle, np.arange(num_triangles + 1))
-
 
 @dataclass(frozen=True, eq=False)
 class ChangedDistances:

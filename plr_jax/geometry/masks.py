@@ -73,12 +73,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     free_above = padded[y + 1, right_of + 1]
     leaves_along_x = is_left_end == free_above
     follower = np.where(leaves_along_x, along_x, along_y)
-    order, start = _cycles(follower)
-    return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
-
-
-def _cycles(follower: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "cycles_and_1"]]:
-    """The cycles of a permutation one after another, each from its least element; and where each begins."""
+    # The cycles of followers one after another, each from its least corner on.
     onward, order, start = follower.tolist(), [], []
     for first in range(len(onward)):
         if onward[first] < 0:
@@ -88,7 +83,8 @@ def _cycles(follower: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n"], Int[n
         while onward[at] >= 0:
             order.append(at)
             onward[at], at = -1, onward[at]
-    return np.array(order, dtype=np.int64), np.array([*start, len(order)], dtype=np.int64)
+    order, start = np.array(order, dtype=np.int64), np.array([*start, len(order)], dtype=np.int64)
+    return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
 
 
 # PixelRings with fewer corners, none of which has moved by more than a tolerance, and nothing of which has met.
@@ -246,15 +242,11 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
     for end, other in product((0, 1), repeat=2):
         shared = (links[a, end] == links[b, other]).all(axis=1)
         is_joined |= shared
-        to_a, to_b = _distance(links[b, 1 - other], links[a]), _distance(links[a, 1 - end], links[b])
-        folded |= shared & (np.minimum(to_a, to_b) < CLEARANCE)
+        for segments, points in ((links[a], links[b, 1 - other]), (links[b], links[a, 1 - end])):
+            to_start, way = segments[:, 0] - points, segments[:, 1] - segments[:, 0]
+            folded |= shared & (distance_to_segment(*to_start.T, *way.T) < CLEARANCE)
     is_bad = folded | ~is_joined
     return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
-
-
-def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    start, end = segments[:, 0], segments[:, 1]
-    return distance_to_segment(*(start - points).T, *(end - start).T)
 
 
 def _surrounding(

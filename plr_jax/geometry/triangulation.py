@@ -155,7 +155,15 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
     vertices = np.concatenate([boundary.vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
-    triangles = _delaunay(vertices)
+    # The Delaunay triangulation of the vertices, counterclockwise.
+    parts: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
+    corners[clockwise] = corners[clockwise, ::-1]
+    flat, known = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
+    order = np.argsort(known)
+    triangles = order[np.searchsorted(known, flat, sorter=order)]
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
         # Walls that it lacks are put in one by one, decided in integers.
@@ -169,18 +177,6 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
         if len(_crossed(triangles, boundary.edges, len(vertices))):
             raise ValueError("Walls of the region cross one another.")
     return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
-
-
-def _delaunay(vertices: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "triangles 3"]:
-    """The Delaunay triangulation of distinct points, counterclockwise."""
-    triangles: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
-    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
-    corners[clockwise] = corners[clockwise, ::-1]
-    flat, known = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
-    order = np.argsort(known)
-    return order[np.searchsorted(known, flat, sorter=order)]
 
 
 def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, "n"]:

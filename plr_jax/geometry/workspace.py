@@ -26,8 +26,8 @@ from plr_jax.geometry.boundary import (
     advice_on_cells,
     are_crossed,
     as_bounds,
-    as_components,
     as_polygons,
+    components_region,
     grid_of,
     grown_boundary,
     merge_vertices,
@@ -38,7 +38,6 @@ from plr_jax.geometry.boundary import (
     rounding_of,
     thin_walls,
     triangulate,
-    united_within,
 )
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
@@ -137,9 +136,7 @@ class Workspace:
             ValueError: If there is no component, one has another form, a ring is not simple, finite and of
                 positive area, the bounds are none, or nothing within them is free.
         """
-        outers, holes = as_components(components)
-        bounds = as_bounds(shapely.total_bounds(outers).reshape(2, 2) if bounds is None else bounds)
-        return cls._from_free_space(bounds, united_within(bounds, outers, holes), squeeze)
+        return cls._from_free_space(*components_region(components, bounds), squeeze)
 
     @classmethod
     def from_mask(

@@ -142,7 +142,8 @@ class ConeLeaves:
 
         At most these are what was proven of the leaf, and by how much they have grown.
         """
-        rows, met = run_members(pairs.first(int(triangle.max(initial=-1)) + 1), triangle)
+        first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # pairs of each triangle
+        rows, met = run_members(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
         (lo, hi), source = self._boxes, pairs.source[rows]
