@@ -7,7 +7,7 @@ from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.pairs.stored import Outline, Stored
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 MAZE = scenes.maze().workspace
 WALL = Workspace(TEN, [box(4, 0, 6, 8)])
@@ -52,10 +52,10 @@ def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0)
     """What a file holds of one ring of corners; without leaves' lists one leaf has them all."""
     corner = np.arange(len(points))
     outline = Outline(np.zeros(2), 1.0, np.asarray(points), np.array([0, len(points)]), False)
-    levels = levels_of(Cells.root(2) if cells is None else cells)[0]
+    tree = tree_of(Cells.root(2) if cells is None else cells)
     leaf, listed = (0 * corner, corner) if lists is None else lists
     joined = np.array(joined, int).reshape(-1, 2)
-    return Stored(Box((0, 0), domain), outline, corner, joined, levels, leaf, listed, rounding)
+    return Stored(Box((0, 0), domain), outline, corner, joined, tree, leaf, listed, rounding)
 
 
 def serpentine(corners, joined=()):

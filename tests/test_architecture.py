@@ -100,7 +100,7 @@ def test_every_part_of_a_room_has_a_layer_and_imports_what_is_below():
 
 
 def test_only_leaves_know_the_leaf_models():
-    """Nothing imports a leaf model but the folder of the leaves and the public list."""
+    """Others import what `plr/leaves/__init__.py` offers, no file of a leaf model."""
     others = [path for path in TREES if not path.is_relative_to("plr/leaves") and path != Path("plr/__init__.py")]
     assert not [path for path in others if any(name.startswith(LEAF_MODELS) for name in IMPORTS[path])]
 

@@ -4,7 +4,7 @@ The PLR has a leaf for each cell of the mesh or, if bytes are limited, leaves of
 bounds of a leaf are the worst ones of all cells that it meets.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import TypeAlias
@@ -23,10 +23,10 @@ from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.faces import overlapping_leaves
 from plr_jax.plr.growth import best_axis, largest_error
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import CornerLeafModel, Rules, check_limits
+from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
+from plr_jax.plr.leaves.base import Rules, check_limits
 from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
-from plr_jax.plr.tree import PLACING, Tree, corner_bits, levels_of, tree_of
+from plr_jax.plr.tree import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
 # Boxes bounded at a time, which bounds the memory: beyond five axes each has thousands of places.
@@ -270,39 +270,34 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
     """One leaf a cell of the mesh: estimates at corners, tied across open faces; None if the file is too large."""
-    mesh, model = estimate.mesh, _model()
+    mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
     step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
-    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, step)
-    contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
+    partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
+    stored = StoredValues.of_corners(partition, values, step)
+    contents = Contents(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
-        plr = plr_of_leaves(_with_proof(contents, mesh.tree, field))
+        plr = plr_of_leaves(_with_proof(contents, field))
     return plr if plr.num_bytes <= max_bytes else None
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
     """The best partition whose file has at most so many bytes, grown from the estimate."""
-    model, domain = _model(), estimate.mesh.domain
+    model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain))
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
-    cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
-    contents = Contents(domain, model, levels_of(cells)[0], cells, stored)
-    return plr_of_leaves(contents if field is None else _with_proof(contents, tree_of(cells), field))
+    contents = Contents(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
+    return plr_of_leaves(contents if field is None else _with_proof(contents, field))
 
 
-def _model() -> CornerLeafModel:
-    model = leaf_model("continuous")
-    assert isinstance(model, CornerLeafModel)
-    return model
-
-
-def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Contents:
+def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     """Add bounds to each leaf, over all cells of the mesh that meet it."""
-    mesh, cells, num_leaves, corners = field.mesh, contents.cells, len(contents.cells), corner_bits(field.mesh.dim)
+    mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
+    cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, and the open cell that bounds the cost-to-go of free points placed
     #    in both: the cell itself or, of a cell that is flush with open cells, each of these, at what they share.
     leaf, cell = overlapping_leaves(tree, mesh.tree)
@@ -341,4 +336,4 @@ def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Content
     changes = np.sum(beside * np.stack(across, axis=1), axis=1) * np.prod(1 + 2 * beside, axis=1)
     rounding = contents.leaf.rounding(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
-    return Contents(contents.domain, contents.leaf, contents.levels, cells, contents.stored, certificate)
+    return replace(contents, certificate=certificate)

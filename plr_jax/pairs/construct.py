@@ -22,7 +22,7 @@ from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
 _SLACK = 8  # tolerances of the workspace
@@ -248,7 +248,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     # 2. A path by the corners has two legs, each of which changes by no more than its corner moves when the file
     #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
     none = np.zeros(0, np.int64)
-    unlisted = Stored(domain, outline, corner, edges, levels_of(Cells.root(2))[0], none, none, 0.0)
+    unlisted = Stored(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
     moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
@@ -264,10 +264,10 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
 
     # 3. The leaves and their lists.
     def stored(lists: Lists) -> Stored:
-        levels, order = levels_of(lists.cells)
-        place = np.argsort(order)[lists.cell]
+        tree = tree_of(lists.cells)
+        place = np.argsort(tree.order)[lists.cell]
         by_leaf = np.lexsort((rank[lists.corner], place))
-        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
+        return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
 
     most = min(limits.max_leaves, most_leaves(len(rank)))
     root = corners_seen(visibility, workspace.triangulation, domain.lo[None], domain.hi[None])

@@ -12,9 +12,8 @@ from plr_jax._types import ArrayLike, Sources
 from plr_jax.pairs.stored import Stored
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.tree import Cells, Tree, levels_of, tree_of
+from plr_jax.plr.leaves import ConeFiles, leaf_model
+from plr_jax.plr.tree import Cells, Tree, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Where each leaf is asked, in its local coordinates."""
@@ -49,9 +48,9 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
         raise ValueError(f"No leaf reaches the goal {goal.tolist()}; move it into free space.")
     tree = tree_of(cells)
     cells, source = _joined(tree, source[tree.order])
-    leaf = leaf_model("cone")
-    cells, cones = as_sourced(leaf).of_sources(domain, cells, source, sources)
-    return plr_of_leaves(Contents(domain, leaf, levels_of(cells)[0], cells, cones))
+    tree = tree_of(cells)
+    cones = ConeFiles(sources, domain).stored(source[tree.order])
+    return plr_of_leaves(Contents(domain, leaf_model("cone"), tree, cones))
 
 
 def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:

@@ -146,7 +146,7 @@ class NumpyPairs:
         self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
         self._ends = self._frame[Frame.HI]
         count, corners = len(stored.cells), len(stored.corner)
-        self._leaves = LeafTable(CodedTree(stored.levels, 2, np.arange(count)))
+        self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[runs(lengths)] = stored.listed

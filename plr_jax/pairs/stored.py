@@ -31,7 +31,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
-from plr_jax.plr.tree import Cells, Level, Tree, tree_of_levels
+from plr_jax.plr.tree import Cells, Tree
 
 if TYPE_CHECKING:
     pass
@@ -239,7 +239,7 @@ class Stored:
         outline: Free space.
         corner: Points of the outline that are corners, ascending.
         edges: Pairs of corners that a shortest path may join straight, the earlier one first.
-        levels: The tree over the leaves.
+        tree: The tree over the leaves.
         leaf: The leaf of each entry of a list, in the order of the tree's traversal.
         listed: Its corner; ascending in a leaf.
         rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
@@ -250,16 +250,11 @@ class Stored:
     outline: Outline
     corner: Int[np.ndarray, "corners"]
     edges: Int[np.ndarray, "edges 2"]
-    levels: list[Level]
+    tree: Tree
     leaf: Int[np.ndarray, "entries"]
     listed: Int[np.ndarray, "entries"]
     rounding: float
     label: str = ""
-
-    @cached_property
-    def tree(self) -> Tree:
-        """The tree over the leaves."""
-        return tree_of_levels(self.levels, 2)
 
     @property
     def cells(self) -> Cells:
@@ -282,7 +277,7 @@ class Stored:
         is_joined[j * (j - 1) // 2 + i] = True
         first.write_set(is_corner)
         first.write_set(is_joined)
-        write_tree(lists, self.levels, 2)
+        write_tree(lists, self.tree)
         _write_lists(lists, self.tree, self.leaf, self.listed, count)
         layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in (first, lists))
         return Container(self.domain, layers, label=self.label).to_bytes()
@@ -326,14 +321,14 @@ class Stored:
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. The tree and the leaves' lists.
-        levels = read_tree(lists, 2)
-        if (leaves := 1 + sum(len(level.axis) for level in levels)) > most_leaves(count):
+        tree = read_tree(lists, 2)
+        if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
         most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
-        leaf, listed = _read_lists(lists, tree_of_levels(levels, 2), count, most)
+        leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, edges, levels, leaf, listed, rounding, container.label)
+        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
 
 
 def most_leaves(count: int) -> int:

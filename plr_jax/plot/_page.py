@@ -27,8 +27,7 @@ from plr_jax.plot._axes import INK
 from plr_jax.plot._plane import OBSTACLE, blocked_polygons
 from plr_jax.plr import PLR, NumpyPLR
 from plr_jax.plr.container import Container
-from plr_jax.plr.leaves import leaf_of_code
-from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.leaves import Cone, leaf_of_code
 from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
 _FRAME = (560, 900)  # pixels of a page inside another one
@@ -184,7 +183,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     else:
         container = Container.from_bytes(data)
         is_plain = container.folding is None and not container.domain.is_periodic
-        is_read_by_page = is_plain and isinstance(leaf_of_code(container.last.leaf_code), SourcedLeafModel)
+        is_read_by_page = is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
     if is_read_by_page:
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:

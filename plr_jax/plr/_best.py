@@ -15,8 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import ConstructionInterrupted
-from plr_jax.plr.leaves import leaf_model, leaf_names
-from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.leaves import Cone, leaf_model, leaf_names
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.tree import grown_domain
 
@@ -126,7 +125,7 @@ def _models_to_try(
     Of the other models all are tried for the least proven error. On average continuous leaves err less than planes,
     and about as much as smooth leaves, which take longer to build and to query.
     """
-    cones = [name for name in leaf_names() if isinstance(leaf_model(name), SourcedLeafModel)]
+    cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]

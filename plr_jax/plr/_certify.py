@@ -7,7 +7,7 @@ from plr_jax._types import CellwiseFn, ChangingFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._proof import Origin, certificate_of
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.leaves.base import FamilyLeafModel
+from plr_jax.plr.leaves import Cone
 from plr_jax.plr.tree import grown_domain
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
-    if isinstance(plr.leaf, FamilyLeafModel) and isinstance(oracle, ChangingFn):
+    if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
         certified.origin = Origin(oracle, certified.num_bytes)
     return certified
 

@@ -21,10 +21,10 @@ from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import folding_of
 from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel, check_limits
+from plr_jax.plr.leaves import Cone, leaf_model
+from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
 from plr_jax.plr.sampling import FitRule, FoldedFn, FoldedWeights, Sampler, WeightFn, least_squares, sample_pattern
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells
 from plr_jax.plr.work import AskedFn, Checkpoint, as_executor, digest_of
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _build_leaves(
     if proof is not Proof.NONE:
         require_certifiable(distance_fn, domain)
     folding = None
-    if proof is Proof.NONE and not isinstance(model, SourcedLeafModel) and not answers_for_cells:
+    if proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells:
         folding = folding_of(distance_fn, domain)
     checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
@@ -231,9 +231,9 @@ def _build_leaves(
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, options.compute_coefficients, memory
     )
-    cells, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
+    tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # a file knows no options of a model
-    contents = Contents(domain, model, levels_of(cells)[0], cells, stored, folding=folding)
+    contents = Contents(domain, model, tree, stored, folding=folding)
 
     # 4. Prove its error.
     if proof is not Proof.NONE and memory is not None:

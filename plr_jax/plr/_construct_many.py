@@ -19,8 +19,9 @@ from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, held
 from plr_jax.plr.growth import ConstructionInterrupted
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves, check_limits
+from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
+from plr_jax.plr.leaves.base import LeafModel, check_limits
+from plr_jax.plr.sampling import sample_pattern
 from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import Checkpoint, Chunk, Done, digest_of
 
@@ -78,7 +79,7 @@ def construct_many(
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited and options == DEFAULT_OPTIONS
+    as_family = isinstance(model, Cone) and is_plane and is_limited and options == DEFAULT_OPTIONS
     kept = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
@@ -104,8 +105,11 @@ def construct_many(
     chunks = []
     for numbers in families.values():
         first = oracles[numbers[0]]
-        if as_family and isinstance(model, FamilyLeafModel) and isinstance(first, FamilyFn):
-            work = _Family(model.family_task(first, domain, limits, int(seed)), domain, model, limits.proof)
+        if as_family and isinstance(first, FamilyFn):
+            pattern = sample_pattern(
+                domain.dim, model.num_samples, 0, int(seed)
+            )  # which only chooses sources in sight
+            work = _Family(family_task(first, domain, limits, pattern), domain, model, limits.proof)
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
             chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
@@ -145,15 +149,15 @@ def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:
 class _Family:
     """Files of members of a family."""
 
-    task: Callable[[Sequence[Any]], list[MemberLeaves]]
+    task: FamilyTask
     domain: Box
     leaf: LeafModel
     proof: Proof
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> list[bytes]:
         leaf, files = leaf_model(self.leaf.name), []
-        for oracle, (levels, cells, stored) in zip(oracles, self.task(oracles), strict=True):
-            contents = Contents(self.domain, leaf, levels, cells, stored)
+        for oracle, (tree, stored) in zip(oracles, self.task(oracles), strict=True):
+            contents = Contents(self.domain, leaf, tree, stored)
             if self.proof is not Proof.NONE:
                 root = oracle.cell_sources(grown_domain(self.domain))
                 contents = replace(contents, certificate=certificate_of(contents, root, self.proof))

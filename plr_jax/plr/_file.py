@@ -17,22 +17,21 @@ from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
-from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
-from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, SourcedLeafModel, linear_mean_planes
-from plr_jax.plr.tree import Cells, Level, tree_of_levels
+from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code
+from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
+from plr_jax.plr.tree import Cells, Tree
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What the last layer of a file holds: the levels of a tree, and its leaves in the order of its traversal.
+    """What the last layer of a file holds: a tree, and what is stored of its leaves in the order of its traversal.
 
     They partition ``domain``, which is the box of a folding, where points are folded.
     """
 
     domain: Box
     leaf: LeafModel
-    levels: list[Level]
-    cells: Cells
+    tree: Tree
     stored: Any
     certificate: Certificate | None = None
     folding: Folding | None = None
@@ -52,8 +51,8 @@ def encode(contents: Contents) -> bytes:
 def body_of_leaves(contents: Contents) -> BitWriter:
     """The bits of the tree and of its leaves, to which those of a proof may be added."""
     body = BitWriter()
-    write_tree(body, contents.levels, contents.domain.dim)
-    contents.leaf.write(body, contents.domain, contents.cells, contents.stored)
+    write_tree(body, contents.tree)
+    contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
     return body
 
 
@@ -64,11 +63,11 @@ def decode(data: bytes) -> Contents:
     leaf = leaf_of_code(layer.leaf_code)
     leaf.check_dim(dim)
     body = BitReader(layer.body)
-    levels = read_tree(body, dim)
-    cells = tree_of_levels(levels, dim).leaves
+    tree = read_tree(body, dim)
+    cells = tree.leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
-    if container.folding is not None and isinstance(leaf, SourcedLeafModel):
+    if container.folding is not None and isinstance(leaf, Cone):
         raise ValueError("its points are folded, but its leaves have sources, which are not")
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
@@ -76,14 +75,13 @@ def decode(data: bytes) -> Contents:
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.folded_domain, leaf, levels, cells, stored, certificate, container.folding)
+    return Contents(container.folded_domain, leaf, tree, stored, certificate, container.folding)
 
 
 def decode_cells(data: bytes) -> Cells:
     """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
     container = Container.from_bytes(data)
-    dim = container.domain.dim
-    return tree_of_levels(read_tree(BitReader(container.last.body), dim), dim).leaves
+    return read_tree(BitReader(container.last.body), container.domain.dim).leaves
 
 
 # Functions of all leaves of a file: what is stored, and for leaves without one that of a neighbor.
@@ -101,7 +99,7 @@ def counted_from(contents: Contents, origin: Corner) -> tuple[Box, Float[np.ndar
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
-    numbers = contents.leaf.numbers(contents.domain, contents.cells, filled_coefficients(contents), corner)
+    numbers = contents.leaf.numbers(contents.domain, contents.tree.leaves, filled_coefficients(contents), corner)
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     return domain, numbers
@@ -114,23 +112,23 @@ def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]
     corner, so that a free point beside or in a wall has an answer. Of one that touches none the first is ``inf``, the
     others are 0.
     """
-    leaf, cells, unreachable = contents.leaf, contents.cells, contents.leaf.unreachable(contents.stored)
+    leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
-    if not (np.abs(coefficients) < LARGEST).all():
+    unreachable = coefficients[:, 0] == np.inf
+    if not (np.abs(coefficients[~unreachable]) < LARGEST).all():
         raise ValueError("its distances are too large for 32-bit floats; scale them down")
-    if isinstance(leaf, LinearLeafModel) and unreachable.any():
+    if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
         donor = neighbor_of_largest_contact(
             cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable), periodic
         )
         borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
-        center, half = linear_mean_planes(leaf, coefficients[donor], cells.dim)
+        center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
         widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
         apart = place[borrower] - place[donor]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
-        coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
         coefficients[borrower] = leaf.of_planes(center + sum_of_columns(half * along), half * widths)
     return coefficients
 
@@ -140,7 +138,7 @@ def planes_of_leaves(
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
     """Intercepts, ``inf`` where the first coefficient is, and slopes of the leaves' (mean) planes."""
     is_inf = np.isinf(coefficients[:, 0])
-    lo, hi = contents.cells.boxes(contents.domain)
+    lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))
     slope = half * 2 / (hi - lo)
     return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope

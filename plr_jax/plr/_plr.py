@@ -28,7 +28,8 @@ from plr_jax.plr._proof import Origin, require_updatable, updated_contents
 from plr_jax.plr.certificate import Certificate
 from plr_jax.plr.container import Container, HeldFile, held
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
-from plr_jax.plr.leaves.base import LeafModel, as_sourced
+from plr_jax.plr.leaves import as_sourced
+from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.points import (
     PointPlacement,
     TableStack,
@@ -389,7 +390,7 @@ class PLR(HeldFile):
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
         """Leaves of which nothing was found to reach the goal: they borrow a neighbor's plane or answer ``inf``."""
-        return self.leaf.unreachable(self.stored)
+        return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
     def num_unreachable(self) -> int:
@@ -457,7 +458,7 @@ class PLR(HeldFile):
 def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Tables:
     """What queries read of a file of so many bytes, for points counted from an origin."""
     domain, numbers = counted_from(contents, origin)
-    tables = build_tables(domain, contents.cells, numbers, contents.leaf, num_bytes)
+    tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
     return tables.of_folding(contents.folding, origin)
 
 

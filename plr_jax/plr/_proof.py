@@ -2,28 +2,26 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
-from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
 from plr_jax.plr.cell_memory import sources_down
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
-from plr_jax.plr.leaves.base import FamilyLeafModel, ProvenLeaves, check_limits
-from plr_jax.plr.tree import tree_of_levels
+from plr_jax.plr.leaves import Cone, ConeLeaves, PricedNodes, updated_cones
+from plr_jax.plr.leaves.base import check_limits
 
 _COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
 
 
 def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certificate:
     """The proof for leaves, from the sources of their grown domain."""
-    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
+    domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
         raise ValueError(
             f"Nothing is proven of {domain}: its free space is known to {root.slack:.2g} only, above "
@@ -32,7 +30,14 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
             "without a proof."
         )
     coefficients = filled_coefficients(contents)
-    visible = _of_leaves(root, contents)
+    # The sources of all leaves as cells, found down the tree.
+    tree, parts, leaves = contents.tree, [], []
+    for nodes, of_nodes in sources_down(tree, root, domain):
+        is_leaf = tree.child[nodes] < 0
+        parts.append(of_nodes.of_cells(np.flatnonzero(is_leaf)))
+        leaves.append(nodes[is_leaf])
+    order = np.argsort(np.concatenate(leaves))
+    visible = parts[0].append(*parts[1:]).of_cells(order[np.argsort(np.argsort(tree.node_of_leaf))])
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
         lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]
@@ -41,7 +46,7 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
             "of its points reach the goal, which no sample met. Build the PLR with certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-    functions = functions_of(contents, coefficients, np.arange(len(cells)))
+    functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
     rounding = leaf.rounding(domain, cells, coefficients)
     return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
 
@@ -54,51 +59,8 @@ def certificate_of_bounds(
     before: Certificate | None = None,
 ) -> Certificate:
     """What a file keeps of bounds of leaves, and of what queries round; with the classes before, if these will do."""
-    volume = np.ldexp(1.0, -contents.cells.depth.sum(axis=1))
+    volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
-
-
-def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
-    """The sources of all leaves as cells, found down the tree."""
-    tree = tree_of_levels(contents.levels, contents.domain.dim)
-    parts, leaves = [], []
-    for nodes, visible in sources_down(tree, root, contents.domain):
-        is_leaf = tree.child[nodes] < 0
-        parts.append(visible.of_cells(np.flatnonzero(is_leaf)))
-        leaves.append(nodes[is_leaf])
-    order = np.argsort(np.concatenate(leaves))
-    place = np.argsort(np.argsort(tree.node_of_leaf))
-    return parts[0].append(*parts[1:]).of_cells(order[place])
-
-
-def functions_of(
-    contents: Contents, coefficients: Float[np.ndarray, "all_leaves terms"], leaf: Int[np.ndarray, "leaves"]
-) -> LeafFunctions:
-    """What some leaves hold, numbered as they are given."""
-    return _Functions(contents, coefficients[leaf], *contents.cells[leaf].boxes(contents.domain))
-
-
-@dataclass(frozen=True, eq=False)
-class _Functions:
-    """What the leaves hold, for :func:`prove_bounds`."""
-
-    contents: Contents
-    coefficients: Float[np.ndarray, "leaves terms"]
-    lo: Float[np.ndarray, "leaves dim"]
-    hi: Float[np.ndarray, "leaves dim"]
-
-    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        return self.contents.leaf.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
-
-    def below_cones(
-        self,
-        leaf: Int[np.ndarray, "n"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        functions = self.lo[leaf], self.hi[leaf], self.coefficients[leaf]
-        return self.contents.leaf.below_cones(*functions, pieces, apex, offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +81,12 @@ class Origin:
     max_leaves: int | None = None
     tolerance: int | float | None = None
     bounds: LeafBounds | None = None
-    priced: Any = None
+    priced: PricedNodes | None = None
 
 
 def can_be_updated(contents: Contents) -> bool:
     """Whether they are certified cones."""
-    return contents.certificate is not None and isinstance(contents.leaf, FamilyLeafModel)
+    return contents.certificate is not None and isinstance(contents.leaf, Cone)
 
 
 def require_updatable(contents: Contents) -> None:
@@ -140,7 +102,7 @@ def require_updatable(contents: Contents) -> None:
 def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, label: str) -> tuple[Contents, Origin]:
     """What :meth:`PLR.updated` makes of leaves, for a file with a label, and what it remembers of them."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
-    assert certificate is not None and isinstance(model, FamilyLeafModel), "see require_updatable"
+    assert certificate is not None and isinstance(model, Cone), "see require_updatable"
     if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):
         got = f"{shortened(oracle)} and {shortened(before)}"
         raise ValueError(f"oracle and before must be of a map that changes, two VisibilityGraphs, got {got}.")
@@ -150,20 +112,21 @@ def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, lab
         raise ValueError(f"max_bytes={origin.max_bytes} leaves no room beside the label, of {of_label} bytes.")
     of_origin = origin.max_leaves, max_bytes, origin.tolerance
     limits = check_limits(model, domain.dim, None, *of_origin, certificate.proof, frame)
-    tree, bounds = tree_of_levels(contents.levels, domain.dim), origin.bounds
+    bounds, changed = origin.bounds, oracle.changed_since(before)
     if bounds is None:
-        lower, upper = np.broadcast_to(certificate.bounds(), (2, len(contents.cells))).astype(np.float64)
+        lower, upper = np.broadcast_to(certificate.bounds(), (2, len(contents.tree.leaves))).astype(np.float64)
         bounds = LeafBounds(lower, upper)
-    proven = ProvenLeaves(domain, tree, contents.stored, bounds, origin.priced)
+    leaves = ConeLeaves(domain, contents.tree, contents.stored, bounds, changed.slack)
     try:
-        found = model.updated(proven, oracle, before, limits)
+        found = updated_cones(leaves, origin.priced, changed, oracle, before, limits)
     except BudgetTooSmall as error:
         raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
-    new = Contents(domain, model, found.levels, found.cells, found.stored)
+    new = Contents(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
-    rounding, anew = model.rounding(domain, new.cells, coefficients), found.anew
+    rounding, anew = model.rounding(domain, new.tree.leaves, coefficients), found.rebuilt
     enough = partial(certificate.enough, rounding=rounding[anew])
-    proven = prove_bounds(functions_of(new, coefficients, anew), found.visible, enough)
+    functions = LeafFunctions(model, *new.tree.leaves[anew].boxes(domain), coefficients[anew])
+    proven = prove_bounds(functions, found.visible, enough)
     bounds.lower[anew], bounds.upper[anew] = proven.lower, proven.upper
     new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
     return new, replace(origin, oracle=oracle, bounds=bounds, priced=found.priced)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.plr._plr import PLR, leaf_of
-from plr_jax.plr.leaves.base import as_sourced
+from plr_jax.plr.leaves import as_sourced
 
 if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import BudgetTooSmall, Limits, check_memory
-from plr_jax.plr.tree import MAX_DEPTH, Cells, Level
+from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
@@ -156,7 +156,7 @@ class Thrift(NamedTuple):
         margin: Times as much as along the other axis halves may cost to be looked at further.
         attempts: To find a price with which a tree is full.
         full: The share of what the limits allow with which it is.
-        is_walked: Whether a file holds a tree as it was found; else as :func:`levels_of` has it, which takes longer.
+        is_walked: Whether a file holds a tree as it was found; else as :func:`tree_of` has it, which takes longer.
     """
 
     margin: float = np.inf
@@ -174,7 +174,7 @@ class PricedTree:
 
     Attributes:
         leaves: Which boxes of each level are leaves.
-        splits: The levels of the tree, as a file stores them.
+        axes: The axis along which each node is split, level by level; -1 for a leaf.
         order: The leaves, which stand level by level, in the order of the tree's traversal.
         price: The price.
         num_bytes: Of the file.
@@ -182,7 +182,7 @@ class PricedTree:
     """
 
     leaves: Leaves
-    splits: list[Level]
+    axes: list[Int[np.ndarray, "_"]]
     order: Int[np.ndarray, "leaves"]
     price: float
     num_bytes: int = 0
@@ -355,7 +355,7 @@ class PriceSearch:
         """The member's tree for which costs of leaves and their prices together are least."""
         own = self._own[member]
         axes = best_axes(self.levels, own, price, least_share)
-        leaves, splits, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+        leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
         for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
             if not len(here):
                 break
@@ -363,10 +363,10 @@ class PriceSearch:
             is_inner = axis >= 0
             leaves.append(box[here[~is_inner]])
             paths.append(path[~is_inner])
-            splits.append(Level(is_inner, axis[is_inner]))
+            walked.append(axis)
             here = child[axis[is_inner], :, here[is_inner]].ravel()
             path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
-        return PricedTree(leaves, splits, np.argsort(np.concatenate(paths)), price)
+        return PricedTree(leaves, walked, np.argsort(np.concatenate(paths)), price)
 
 
 def best_axes(

@@ -20,14 +20,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int, Integer, Shaped, UInt8
 
 from plr_jax._arrays import run_members
 from plr_jax._types import CellSources
-from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
@@ -38,27 +37,11 @@ from plr_jax.plr.frame import LARGEST
 # the way there, which is free.
 
 
-@runtime_checkable
-class ConesAbove(Protocol):
-    """Smallest and largest value, over pieces, of cones minus what leaves hold.
+ConesAbove: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+"""Smallest and largest value, over pieces, of cones minus what leaves hold.
 
-    ``row`` says which of the leaves that were asked about each piece is of.
-    """
-
-    def __call__(
-        self,
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-        row: Int[np.ndarray, "n"],
-        /,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Of cones with these apexes and offsets, one a piece."""
-        ...
-
-
-BelowCones: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""The method of that name of a leaf model."""
+Its arguments are the pieces, apexes and offsets of cones, one a piece, and the row of the leaf that each piece is of.
+"""
 
 
 def bounds_of_pieces(
@@ -85,22 +68,34 @@ def bounds_of_pieces(
     return lower, upper
 
 
-def proven_errors(
-    visible: CellSources, below_cones: BelowCones, functions: tuple[Float[np.ndarray, "cells _"], ...]
-) -> Float[np.ndarray, "cells"]:
-    """Bound of the largest error in each cell, 0 where nothing of it reaches the goal.
+@dataclass(frozen=True, eq=False)
+class LeafFunctions:
+    """What leaves hold: functions of a leaf model, of finite coefficients in boxes.
 
-    What cells hold is given as :meth:`LeafModel.below_cones` takes it: their corners, and coefficients.
+    The model is a :class:`LeafModel`, whose file imports this one.
     """
 
-    def of_rows(*cones: Any) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        pieces, apex, offset, row = cones
-        return below_cones(*(each[visible.cell[row]] for each in functions), pieces, apex, offset)
+    model: Any
+    lo: Float[np.ndarray, "leaves dim"]
+    hi: Float[np.ndarray, "leaves dim"]
+    coefficients: Float[np.ndarray, "leaves terms"]
 
-    lower, upper = bounds_of_pieces(visible, np.arange(len(visible.cell)), of_rows)
-    errors = np.zeros(visible.num_cells)
-    np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
-    return errors
+    def below_cones(self, leaf: Int[np.ndarray, "n"]) -> ConesAbove:
+        """Return a function that bounds cones minus the functions of given leaves, from which rows choose."""
+
+        def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
+            rows = leaf[row]
+            functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
+            return self.model.below_cones(*functions, pieces, apex, offset)
+
+        return of_rows
+
+    def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
+        """Bound the largest error in each leaf, from its sources as a cell; 0 where nothing reaches the goal."""
+        lower, upper = bounds_of_pieces(visible, np.arange(len(visible.cell)), self.below_cones(visible.cell))
+        errors = np.zeros(visible.num_cells)
+        np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
+        return errors
 
 
 # Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
@@ -109,36 +104,12 @@ _OF_RANGE = 0.04  # of the range of errors that are met in a leaf, by which its 
 LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
 
 
-@runtime_checkable
-class LeafFunctions(Protocol):
-    """What leaves hold."""
-
-    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Values at points, of given leaves."""
-        ...
-
-    def below_cones(
-        self,
-        leaf: Int[np.ndarray, "n"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Smallest and largest value of cones ``offset + |x - apex|`` minus given leaves' functions, over pieces."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
     """Bounds of the distance minus what each leaf holds, over all its points from which the goal can be reached."""
 
     lower: Float[np.ndarray, "leaves"]
     upper: Float[np.ndarray, "leaves"]
-
-    @property
-    def largest(self) -> float:
-        """The largest error of all."""
-        return float(max(self.upper.max(initial=0.0), -self.lower.min(initial=0.0)))
 
 
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
@@ -165,12 +136,11 @@ def prove_bounds(
     least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # of the errors that are met
     leaf = visible.cell
     for round_ in range(_MOST_ROUNDS):
-        met = visible.distance - functions.values(leaf, visible.center)
+        here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
+        met = visible.distance - functions.model.values(*here, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
-        below, above = bounds_of_pieces(
-            visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
-        )
+        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.below_cones(leaf))
         # Bounds that need not be better, given errors that are met.
         largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (

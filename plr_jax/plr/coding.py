@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import runs
-from plr_jax.plr.tree import MAX_DEPTH, Level
+from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
 _BITS, _MOST_BYTES = 7, 10  # of a byte of a varint, and bytes of the largest
 
@@ -229,26 +229,29 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
     return int(-(-(tree_bits + num_bits) // 8))
 
 
-def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
+def write_tree(body: BitWriter, tree: Tree) -> None:
     """Append a tree."""
-    for level in levels:
-        body.write(level.inner.astype(np.int64), 1)
-        body.write(level.axis, _axis_bits(dim))
+    first, num_nodes = 0, 1
+    for split in tree.splits:
+        body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)
+        body.write(tree.axis[split], _axis_bits(tree.cells.dim))
+        first, num_nodes = first + num_nodes, 2 * len(split)
 
 
-def read_tree(body: BitReader, dim: int) -> list[Level]:
+def read_tree(body: BitReader, dim: int) -> Tree:
     """The tree that comes next; raises ``ValueError`` if it is none."""
-    levels, num_nodes = [], 1
+    axes, num_nodes = [], 1
     while num_nodes:
-        if len(levels) > MAX_DEPTH:
+        if len(axes) > MAX_DEPTH:
             raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
         inner = body.read_alike(num_nodes, 1) == 1
         axis = body.read_alike(int(np.count_nonzero(inner)), _axis_bits(dim))
         if (axis >= dim).any():
             raise ValueError(f"it splits axis {axis.max()} of {dim}")
-        levels.append(Level(inner, axis))
+        axes.append(np.full(num_nodes, -1))
+        axes[-1][inner] = axis
         num_nodes = 2 * len(axis)
-    return levels
+    return tree_of_axes(axes, dim)
 
 
 def _axis_bits(dim: int) -> int:

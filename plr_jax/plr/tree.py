@@ -103,27 +103,23 @@ def grown_domain(domain: Box) -> Box:
     return Box(lo[0], hi[0])
 
 
-# The tree over a partition's leaves: level by level, as a file stores it, and as a table of nodes.
+# The tree over a partition's leaves.
 
 
 MAX_DEPTH = 60  # a leaf's path, one bit a split, fits a 64-bit integer
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
-    """The nodes of one depth, left to right: which are split, and the axis of each of those."""
-
-    inner: Bool[np.ndarray, "nodes"]
-    axis: Int[np.ndarray, "splits"]
-
-
-@dataclass(frozen=True, eq=False)
 class Tree:
-    """The nodes of a tree, level by level from the root.
+    """The nodes of a tree, level by level from the root, left to right in each level.
 
-    A leaf's ``axis`` is 0 and its ``child`` -1; of another node ``child`` is the lower one, the upper one follows it.
-    Leaves stand in the order of the tree's traversal, ``order`` is their index among the cells the tree was made for;
-    ``splits`` are the split nodes of each level.
+    Attributes:
+        cells: Cells of the nodes.
+        axis: The axis along which each node is split, 0 for a leaf.
+        child: The lower child of each node, which the upper one follows; -1 for a leaf.
+        node_of_leaf: Nodes that are leaves, in the order of the tree's traversal.
+        splits: Nodes that are split, for each level.
+        order: For each leaf in this order, its index among the cells that the tree was made for.
     """
 
     cells: Cells
@@ -133,7 +129,7 @@ class Tree:
     splits: list[Int[np.ndarray, "_"]]
     order: Int[np.ndarray, "leaves"]
 
-    @property
+    @cached_property
     def leaves(self) -> Cells:
         """Cells of the leaves, in the order of the tree's traversal."""
         return self.cells[self.node_of_leaf]
@@ -150,17 +146,16 @@ class Tree:
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
-def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
-    """Levels of a tree whose leaves are the cells, and the leaves' indices in order of its traversal.
+def tree_of(cells: Cells) -> Tree:
+    """The tree whose leaves are the given cells, in any order.
 
     A node's cell can be halved along every axis along which all its leaves are narrower than itself; where there
     are several, any gives a tree of the same leaves, and the first is taken.
     """
     node = np.zeros(len(cells), np.int64)
-    path = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)
-    levels = []
+    axes = []
     while len(active):
         narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
         for each_axis in range(cells.dim):  # NumPy is fast here for single indices alone
@@ -168,43 +163,42 @@ def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
             np.minimum.at(narrower[:, each_axis], node[active], below)
         inner = np.any(narrower, axis=1)
         axis = np.argmax(narrower > 0, axis=1)
-        levels.append(Level(inner, axis[inner]))
+        axes.append(np.where(inner, axis, -1))
         active = active[inner[node[active]]]
         split = axis[node[active]]
         below = cells.depth[active, split] - node_depth[node[active], split] - 1
         upper = (cells.position[active, split] >> below) & 1
-        path[active] |= upper << (MAX_DEPTH + 1 - len(levels))
         node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
         node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
-    return levels, np.argsort(path, kind="stable")
+    tree = tree_of_axes(axes, cells.dim)
+    # A node's place in its level, and the level, which is how often the cell was halved, name a leaf.
+    first = np.cumsum([0, *(len(axis) for axis in axes)])
+    index = np.empty(len(tree.child), np.int64)
+    index[first[cells.depth.sum(axis=1)] + node] = np.arange(len(cells))
+    return replace(tree, order=index[tree.node_of_leaf])
 
 
-def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
-    return np.array(list(product((0, 1), repeat=dim)))
-
-
-def tree_of(cells: Cells) -> Tree:
-    """The tree whose leaves are the given cells, in any order."""
-    levels, order = levels_of(cells)
-    return replace(tree_of_levels(levels, cells.dim), order=order)
-
-
-def tree_of_levels(levels: list[Level], dim: int) -> Tree:
-    """The tree of given levels."""
-    num_nodes = sum(len(level.inner) for level in levels)
-    axis, child, path = np.zeros(num_nodes, np.int64), np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
+def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
+    """The tree whose nodes are split along given axes, level by level; -1 for a leaf."""
+    num_nodes = sum(map(len, axes))
+    child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
-    for depth, level in enumerate(levels):
-        split = first + np.flatnonzero(level.inner)
-        first += len(level.inner)
-        axis[split] = level.axis
+    for depth, axis in enumerate(axes):
+        inner = np.flatnonzero(axis >= 0)
+        split = first + inner
+        first += len(axis)
         child[split] = first + 2 * np.arange(len(split))
         path[child[split]] = path[split]
         path[child[split] + 1] = path[split] | (1 << (MAX_DEPTH - depth))
         parts.append(nodes)
         splits.append(split)
-        nodes = nodes[level.inner].split(level.axis)
+        nodes = nodes[inner].split(axis[inner])
     leaves = np.flatnonzero(child < 0)
     node_of_leaf = leaves[np.argsort(path[leaves])]
+    axis = np.maximum(np.concatenate(axes), 0)
     return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))
+
+
+def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
+    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
+    return np.array(list(product((0, 1), repeat=dim)))

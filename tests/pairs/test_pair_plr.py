@@ -14,7 +14,7 @@ import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
 from plr_jax.pairs.stored import Stored
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 INSIDE = np.array([0.1, 0.1])
 
@@ -175,7 +175,7 @@ def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
 
 def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_they_are_alike(maze):
     stored, count = maze.stored, maze.num_corners
-    one_leaf = levels_of(Cells.root(2))[0], np.zeros(count, int), np.arange(count)
+    one_leaf = tree_of(Cells.root(2)), np.zeros(count, int), np.arange(count)
     single = Stored(stored.domain, stored.outline, stored.corner, stored.edges, *one_leaf, stored.rounding)
     coarse = pairs_from_bytes(single.to_bytes())
     goal, x = MAZE.sample_free(1, seed=8)[0], MAZE.sample_free(4000, seed=3)
@@ -201,5 +201,4 @@ def test_goals_outside_and_points_that_are_none_are_refused(maze):
 def test_properties(maze):
     assert isinstance(maze, PairPLR) and maze.domain == Box((0, 0), (1, 1))
     assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
-    assert len(levels_of(maze.stored.cells)[0]) == len(maze.stored.levels)
     assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes

@@ -17,7 +17,7 @@ from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tables import build_tables
-from plr_jax.plr.tree import Cells, Level, levels_of, tree_of, tree_of_levels
+from plr_jax.plr.tree import Cells, tree_of, tree_of_axes
 
 UNIT = Box([0, 0], [1, 1])
 
@@ -120,19 +120,14 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
         partition.tied[~partition.between_reachable()] = False
         stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
     domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5, periodic or None)
-    return Contents(domain, model, levels_of(cells)[0], cells, stored)
+    return Contents(domain, model, tree, stored)
 
 
 def quarters_in_another_order():
     """Quarters of the unit square, first split along axis 1: below are the values 0 and 1, above 2 and 3."""
-    inner = np.array([True, True])
-    levels = [
-        Level(inner[:1], np.array([1])),
-        Level(inner, np.array([0, 0])),
-        Level(np.zeros(4, bool), np.zeros(0, int)),
-    ]
+    tree = tree_of_axes([np.array([1]), np.array([0, 0]), np.full(4, -1)], 2)
     planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
-    return Contents(UNIT, leaf_model("plane"), levels, tree_of_levels(levels, 2).leaves, planes)
+    return Contents(UNIT, leaf_model("plane"), tree, planes)
 
 
 def sealed(content):
@@ -142,7 +137,7 @@ def sealed(content):
 
 def contents_of_planes(cells, planes, domain=UNIT):
     """What a file of planes holds."""
-    return Contents(domain, leaf_model("plane"), levels_of(cells)[0], cells, planes)
+    return Contents(domain, leaf_model("plane"), tree_of(cells), planes)
 
 
 def assert_refused_for_little(read, given, message, most):

@@ -128,25 +128,25 @@ class SlowReader:
 
     def _numbers(self, down):
         contents = self.contents
-        is_own = ~contents.leaf.unreachable(contents.stored)
-        numbers = contents.leaf.numbers(self.box, contents.cells, self.plr._coefficients, down)
+        is_own = np.isfinite(contents.leaf.coefficients(contents.tree.leaves, contents.stored)[:, 0])
+        numbers = contents.leaf.numbers(self.box, contents.tree.leaves, self.plr._coefficients, down)
         numbers[is_own] = self._own_numbers(down, numbers)[is_own]
         return numbers.astype(np.float32)
 
     def _own_numbers(self, down, numbers):
         contents, leaf = self.contents, self.contents.leaf
         if leaf.is_of_cells:
-            of_cells = np.zeros((len(contents.cells), self.plr.dim))  # which it reads from the cells themselves
+            of_cells = np.zeros((len(contents.tree.leaves), self.plr.dim))  # which it reads from the cells themselves
             own, is_exact = polynomial_numbers(contents)
             own = np.column_stack([of_cells, own])
             is_rounding = np.abs(own - numbers) <= 2.0**-48 * np.abs(numbers[np.isfinite(numbers)]).max()
             return own if is_exact else np.where(is_rounding, numbers, own)
-        coefficients = leaf.coefficients(contents.cells, contents.stored)
+        coefficients = leaf.coefficients(contents.tree.leaves, contents.stored)
         if leaf.name == "cone":
             return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down])
         size, position, width = (
-            np.ldexp(1.0, -contents.cells.depth),
-            contents.cells.position,
+            np.ldexp(1.0, -contents.tree.leaves.depth),
+            contents.tree.leaves.position,
             self.box.hi - self.box.lo,
         )
         low, high = self.box.lo + width * (position * size), self.box.lo + width * ((position + 1) * size)
@@ -201,13 +201,13 @@ class SlowReader:
 
     def _leaf(self, above):
         placed = np.maximum(np.minimum(above * self.scale, self.top) + self.start, np.float32(1))
-        places, cells = placed.view(np.uint32).astype(int) & 0x7FFFFF, self.contents.cells
+        places, cells = placed.view(np.uint32).astype(int) & 0x7FFFFF, self.contents.tree.leaves
         holds = (places >> (23 - cells.depth) == cells.position).all(axis=1)
         assert holds.sum() == 1
         return int(holds.argmax())
 
     def _leaf_value(self, above):
-        leaf, name, cells, f32 = self._leaf(above), self.contents.leaf.name, self.contents.cells, np.float32
+        leaf, name, cells, f32 = self._leaf(above), self.contents.leaf.name, self.contents.tree.leaves, np.float32
         n = self.numbers[leaf]
         if name == "plane":
             return reduce(add, n[1:] * above, n[0])
@@ -262,7 +262,7 @@ def polynomial_numbers(contents):
 
 class _Leaves:
     def __init__(self, contents):
-        self.cells, self.order = contents.cells, contents.leaf.order
+        self.cells, self.order = contents.tree.leaves, contents.leaf.order
         self.partition, self.values = contents.stored.partition, contents.stored.decode()
         self.dim, self.num_leaves = self.cells.dim, len(self.cells)
         self.corners = list(product((0, 1), repeat=self.dim))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plr_helpers import chain, random_partition, three_leaves
+from plr_helpers import random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import (
@@ -21,7 +21,7 @@ from plr_jax.plr.coding import (
     write_tree,
 )
 from plr_jax.plr.container import domain_to_bytes, frame_size, read_domain
-from plr_jax.plr.tree import levels_of, tree_of_levels
+from plr_jax.plr.tree import tree_of
 
 # Bits, numbers, sets and trees: by hand, read as they were written, and nothing else read as one.
 
@@ -36,7 +36,7 @@ def bits_of(text):
 
 def written(cells):
     body = BitWriter()
-    write_tree(body, levels_of(cells)[0], cells.dim)
+    write_tree(body, tree_of(cells))
     return body
 
 
@@ -137,11 +137,10 @@ def test_the_tree_that_is_read_is_what_was_written(seed, dim, num_splits):
     data = written(cells).to_bytes()
     assert len(data) == body_size(dim, num_splits + 1, 0)
     reader = BitReader(data)
-    found = tree_of_levels(read_tree(reader, dim), dim).leaves
+    found, expected = read_tree(reader, dim).leaves, tree_of(cells).leaves
     assert reader.at_end()
-    order = levels_of(cells)[1]
-    np.testing.assert_array_equal(found.depth, cells.depth[order])
-    np.testing.assert_array_equal(found.position, cells.position[order])
+    np.testing.assert_array_equal(found.depth, expected.depth)
+    np.testing.assert_array_equal(found.position, expected.position)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +150,7 @@ def test_the_tree_that_is_read_is_what_was_written(seed, dim, num_splits):
         (bits_of("1111"), 2, "end too early"),
         (b"", 2, "end too early"),
         (b"\xff" * 100, 1, "end too early"),
-        (written(chain([0] * 61)).to_bytes(), 1, "its tree is deeper than 60"),
+        (bits_of("1" + "10" * 60 + "00"), 1, "its tree is deeper than 60"),
     ],
 )
 def test_what_is_no_tree_is_refused(data, dim, message):

@@ -31,7 +31,7 @@ from plr_jax.plr.coding import BitWriter, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane import StoredPlanes
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 MODELS = ("plane", "continuous", "smooth")
 MOST = 50 * 2**20
@@ -69,17 +69,16 @@ def test_what_is_read_is_what_was_written(seed, dim, leaf, wraps):
     data = encode(contents)
     again = decode(data)
     assert again.domain == contents.domain and again.leaf.name == leaf
-    np.testing.assert_array_equal(again.cells.depth, contents.cells.depth)
-    np.testing.assert_array_equal(again.cells.position, contents.cells.position)
-    np.testing.assert_array_equal(again.leaf.unreachable(again.stored), contents.leaf.unreachable(contents.stored))
-    expected = contents.leaf.coefficients(contents.cells, contents.stored)
-    np.testing.assert_array_equal(again.leaf.coefficients(again.cells, again.stored), expected)
+    np.testing.assert_array_equal(again.tree.leaves.depth, contents.tree.leaves.depth)
+    np.testing.assert_array_equal(again.tree.leaves.position, contents.tree.leaves.position)
+    expected = contents.leaf.coefficients(contents.tree.leaves, contents.stored)
+    np.testing.assert_array_equal(again.leaf.coefficients(again.tree.leaves, again.stored), expected)
     if leaf != "plane":
         for name in ("tied", "unreachable"):
             found, written = (getattr(each.stored.partition, name) for each in (again, contents))
             np.testing.assert_array_equal(found, written)
     assert encode(again) == data
-    np.testing.assert_array_equal(decode_cells(data).position, contents.cells.position)
+    np.testing.assert_array_equal(decode_cells(data).position, contents.tree.leaves.position)
 
 
 @pytest.mark.parametrize("dim", [1, 3, 8])
@@ -166,7 +165,7 @@ def test_of_a_file_that_goes_on_no_more_is_read_than_a_plr_may_have(read, tmp_pa
 def with_body(leaf, cells, write):
     """A file of some cells, whose leaves' numbers are written by hand."""
     body = BitWriter()
-    write_tree(body, levels_of(cells)[0], cells.dim)
+    write_tree(body, tree_of(cells))
     write(body)
     layer = Layer(code_of_leaf(leaf_model(leaf)), body.to_bytes())
     return Container(Box(np.zeros(cells.dim), np.ones(cells.dim)), (layer,)).to_bytes()
@@ -239,7 +238,7 @@ def test_planes_of_a_tree_that_splits_in_another_order_stay_in_their_leaves_and_
     assert plr.to_bytes() == plr_of_leaves(contents).to_bytes()
     assert plr(np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]])).tolist() == [0, 1, 2, 3]
     body = BitWriter()
-    write_tree(body, contents.levels, 2)
+    write_tree(body, contents.tree)
     layer = Layer(code_of_leaf(leaf_model("continuous")), sets(body, [0, 0]).to_bytes())
     with pytest.raises(ValueError, match="splits its leaves along other axes first"):
         from_bytes(Container(UNIT, (layer,)).to_bytes())
@@ -268,7 +267,7 @@ def test_small_files_of_huge_tables_are_refused_before_they_are_built(axes, most
 
 def test_cells_too_deep_for_a_query_are_refused():
     at_most, too_deep = (encode(random_contents(0, 1, "plane", chain([0] * depth))) for depth in (23, 24))
-    assert decode(at_most).cells.depth.max() == 23
+    assert decode(at_most).tree.leaves.depth.max() == 23
     with pytest.raises(ValueError, match="a cell is split 24 times along one axis; a query resolves 23"):
         decode(too_deep)
 

@@ -11,7 +11,7 @@ from plr_jax import Box, TraceStatus, VisibilityGraph, Workspace, construct, fro
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 GOAL = (0.1, 0.1)
 WALL = np.array([(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)])
@@ -29,9 +29,8 @@ def of_sources(code, parent, root_offset=None, source=0):
     """The file of one leaf that names a source of some, in steps of a hundredth of the unit square."""
     offsets = np.zeros(len(code)) if root_offset is None else np.array(root_offset)
     sources = StoredSources(0, 0, 100, np.array(code), np.array(parent), offsets)
-    cells = Cells.root(2)
     stored = StoredCones(sources, np.array([source]))
-    return encode(Contents(UNIT, leaf_model("cone"), levels_of(cells)[0], cells, stored))
+    return encode(Contents(UNIT, leaf_model("cone"), tree_of(Cells.root(2)), stored))
 
 
 def test_a_drawn_way(plr):

@@ -11,7 +11,7 @@ from plr_jax.plr._file import filled_coefficients
 from plr_jax.plr.faces import face_points, overlapping_leaves, parents_of_corners, shared_faces
 from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
-from plr_jax.plr.tree import Cells, corner_bits, levels_of, tree_of, tree_of_levels
+from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 
 def test_split_halves_one_axis_lower_child_first():
@@ -23,7 +23,7 @@ def test_split_halves_one_axis_lower_child_first():
 
 
 @given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
-def test_leaves_are_the_cells_in_one_order_and_levels_give_them_back(seed, dim, num_splits):
+def test_leaves_are_the_cells_in_one_order(seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
     shuffled = cells[np.random.default_rng(seed).permutation(len(cells))]
     leaves, again = tree_of(cells).leaves, tree_of(shuffled).leaves
@@ -31,18 +31,14 @@ def test_leaves_are_the_cells_in_one_order_and_levels_give_them_back(seed, dim, 
     np.testing.assert_array_equal(shuffled[tree_of(shuffled).order].position, leaves.position)
     rows = np.concatenate([leaves.depth, leaves.position], axis=1).tolist()
     assert sorted(rows) == sorted(np.concatenate([cells.depth, cells.position], axis=1).tolist())
-    levels, order = levels_of(shuffled)
-    of_levels = tree_of_levels(levels, dim).leaves
-    np.testing.assert_array_equal(of_levels.depth, shuffled.depth[order])
-    np.testing.assert_array_equal(of_levels.position, shuffled.position[order])
 
 
 def test_the_deepest_path_fits():
     leaves = chain([0] * 60)
-    levels, order = levels_of(leaves)
-    assert len(levels) == 61
-    np.testing.assert_array_equal(order, np.arange(61))
-    np.testing.assert_array_equal(tree_of_levels(levels, 1).leaves.position, leaves.position)
+    tree = tree_of(leaves)
+    assert len(tree.splits) == 61
+    np.testing.assert_array_equal(tree.order, np.arange(61))
+    np.testing.assert_array_equal(tree.leaves.position, leaves.position)
 
 
 def unit_boxes(cells):

@@ -1,10 +1,22 @@
-"""Leaf models: what function each leaf holds. Their names and the codes of their files stand here, once."""
+"""Leaf models: what function each leaf holds.
+
+Their names and the codes of their files stand here, once, and what other rooms need of cones and of tied leaves.
+"""
 
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
-from plr_jax.plr.leaves.cone.model import Cone
+from plr_jax.plr.leaves.cone.codec import ConeFiles as ConeFiles
+from plr_jax.plr.leaves.cone.model import Cone as Cone
+from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
+from plr_jax.plr.leaves.cone.search import FamilyTask as FamilyTask
+from plr_jax.plr.leaves.cone.search import family_task as family_task
+from plr_jax.plr.leaves.cone.update import ConeLeaves as ConeLeaves
+from plr_jax.plr.leaves.cone.update import PricedNodes as PricedNodes
+from plr_jax.plr.leaves.cone.update import updated_cones as updated_cones
 from plr_jax.plr.leaves.continuous import Continuous
+from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
+from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
 from plr_jax.plr.leaves.plane import Plane
 
 # In the order of their codes.

@@ -2,22 +2,20 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, product_in_order, require_integer
-from plr_jax._types import CellSources, ChangingFn, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr.certificate import LeafBounds, Proof
+from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.faces import SharedFaces
 from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_of_class
 from plr_jax.plr.growth import DEFAULT_MAX_LEAVES, Limits, ShouldSplitRule, SplitRule, check_memory
 from plr_jax.plr.sampling import Sampler
-from plr_jax.plr.tree import MAX_DEPTH, Cells, Level, Tree
+from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 
 class Rules(NamedTuple):
@@ -26,8 +24,6 @@ class Rules(NamedTuple):
     should_split: ShouldSplitRule
     split: SplitRule
 
-
-"""Functions of leaves: corners of their boxes, and finite coefficients."""
 
 UNIT = 2.0**-24
 """Largest relative error of rounding to 32-bit floats."""
@@ -58,8 +54,8 @@ class LeafModel(ABC):
     # How it is fitted.
 
     @abstractmethod
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
-        """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
+        """Grow a partition: its tree, and what is stored of the leaves in the order of the tree's traversal."""
         ...
 
     # How it is stored.
@@ -75,13 +71,11 @@ class LeafModel(ABC):
         ...
 
     @abstractmethod
-    def unreachable(self, stored: Any) -> Bool[np.ndarray, "leaves"]:
-        """Which leaves have no function of their own, as nothing of them reaches the goal."""
-        ...
-
-    @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients of every leaf's function, finite."""
+        """Coefficients of every leaf's function.
+
+        A leaf without a function, as nothing of it reaches the goal, has ``inf`` first and zeros after it.
+        """
         ...
 
     # How it is evaluated.
@@ -206,127 +200,9 @@ class LinearLeafModel(LeafModel):
         self, lo: Any, hi: Any, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
         """The mean plane of every leaf."""
-        return linear_mean_planes(self, coefficients, lo.shape[1])
-
-
-class CornerLeafModel(LinearLeafModel):
-    """Leaves that hold values at their corners, tied across faces."""
-
-    @abstractmethod
-    def of_corners(
-        self,
-        tree: Tree,
-        faces: SharedFaces,
-        tied: Bool[np.ndarray, "faces"],
-        unreachable: Bool[np.ndarray, "leaves"],
-        values: Float[np.ndarray, "leaves corners"],
-        step: float,
-    ) -> Any:
-        """What is stored of leaves with these values, to multiples of a step; hanging corners follow from others."""
-        ...
-
-
-class SourcedLeafModel(LeafModel):
-    """Leaves that name a source each: paths to the goal go straight there, and on from source to source."""
-
-    @abstractmethod
-    def sources(self, stored: Any) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """All sources, with their parents, and the index of every leaf's own."""
-        ...
-
-    @abstractmethod
-    def of_sources(
-        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
-    ) -> tuple[Cells, Any]:
-        """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
-        ...
-
-    @abstractmethod
-    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
-        """Of a leaf's numbers those that say how far its source is from the domain's rounded lower corner."""
-        ...
-
-
-MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
-"""Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
-
-
-class ProvenLeaves(NamedTuple):
-    """Leaves in the order of their tree's traversal, and what is proven of them.
-
-    Attributes:
-        domain: What they fill.
-        tree: Their tree.
-        stored: What a file keeps of them.
-        bounds: Of the distance minus what each holds.
-        priced: What their model knows of the nodes of their tree, from a change before; None: nothing yet.
-    """
-
-    domain: Box
-    tree: Tree
-    stored: Any
-    bounds: LeafBounds
-    priced: Any = None
-
-
-class UpdatedLeaves(NamedTuple):
-    """Leaves after a map has changed, in the order of their tree's traversal.
-
-    Attributes:
-        levels: Levels of the tree.
-        cells: The leaves.
-        stored: What a file keeps of them.
-        bounds: Of the distance minus what those hold that stay.
-        anew: The others.
-        visible: The sources of these as cells.
-        priced: What their model knows of the nodes of their tree.
-    """
-
-    levels: list[Level]
-    cells: Cells
-    stored: Any
-    bounds: LeafBounds
-    anew: Int[np.ndarray, "anew"]
-    visible: CellSources
-    priced: Any
-
-
-class FamilyLeafModel(SourcedLeafModel):
-    """A leaf model of cells that an oracle answers for: of a family of functions at once, and after a change."""
-
-    @abstractmethod
-    def updated(self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
-        """Leaves of a changed map, within limits: those that hold, and others anew.
-
-        Raises ``ValueError`` if the oracle before is found to be another one than that of the bounds.
-        """
-        ...
-
-    @abstractmethod
-    def family_task(
-        self, first: FamilyFn, domain: Box, limits: Limits, seed: int
-    ) -> Callable[[Sequence[FamilyFn]], list[MemberLeaves]]:
-        """What gives the leaves of some of the family of a function, with what all share."""
-        ...
-
-
-def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
-    """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
-    if not isinstance(leaf, SourcedLeafModel):
-        raise ValueError(
-            f"Leaves of kind {leaf.name!r} have no sources, so they do not say where to go next. Build the PLR with "
-            "leaf='cone', or follow it with descend."
-        )
-    return leaf
-
-
-def linear_mean_planes(
-    model: LinearLeafModel, coefficients: Float[np.ndarray, "leaves terms"], dim: int
-) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """What :meth:`LeafModel.mean_planes` is of a linear model."""
-    ends = np.eye(dim)
-    half = product_in_order(coefficients, (model.basis(ends) - model.basis(-ends)).T) / 2
-    return product_in_order(coefficients, model.basis(np.zeros((1, dim))).T)[:, 0], half
+        ends = np.eye(lo.shape[1])
+        half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
+        return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
 
 
 def check_limits(

@@ -29,7 +29,7 @@ from plr_jax.plr.frame import LARGEST, Corner
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_open, least_priority
 from plr_jax.plr.leaves.base import (
     UNIT,
-    CornerLeafModel,
+    LinearLeafModel,
     Rules,
     largest_coordinates,
 )
@@ -190,6 +190,16 @@ class StoredValues:
             raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
         offset, step = float(np.float32(values.mean())), float(np.float32(step))
         return StoredValues(partition, offset, step, np.rint((values - offset) / step).astype(np.int64))
+
+    @staticmethod
+    def of_corners(
+        partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
+    ) -> "StoredValues":
+        """Round values at the corners of leaves; hanging corners follow from others."""
+        space = partition.space
+        of_group = np.zeros(int(space.group.max()) + 1)
+        of_group[space.group] = values.ravel()
+        return StoredValues.rounded(partition, of_group[space.masters], step)
 
     def decode(self) -> Float[np.ndarray, "masters"]:
         """The values."""
@@ -375,7 +385,7 @@ def fit_values(
 
 
 @dataclass(frozen=True)
-class Continuous(CornerLeafModel):
+class Continuous(LinearLeafModel):
     """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
 
     A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
@@ -409,26 +419,10 @@ class Continuous(CornerLeafModel):
         """One more than a leaf has corners."""
         return 2**dim + 1
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredValues]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
         """Grow the partition, all values fitted again in every round."""
         stored = grow_tied(self.order, sampler, rules, limits)
-        return stored.partition.tree.leaves, stored
-
-    def of_corners(
-        self,
-        tree: Tree,
-        faces: SharedFaces,
-        tied: Bool[np.ndarray, "faces"],
-        unreachable: Bool[np.ndarray, "leaves"],
-        values: Float[np.ndarray, "leaves corners"],
-        step: float,
-    ) -> StoredValues:
-        """What is stored of leaves with these values, of order 0; hanging corners follow from others."""
-        partition = TiedPartition(tree, unreachable, faces, tied)
-        space = partition.space
-        of_group = np.zeros(int(space.group.max()) + 1)
-        of_group[space.group] = values.ravel()
-        return StoredValues.rounded(partition, of_group[space.masters], step)
+        return stored.partition.tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         """Append what the file keeps of the leaves."""
@@ -438,15 +432,13 @@ class Continuous(CornerLeafModel):
         """What :meth:`write` appended."""
         return read_values(body, cells, domain.periodic)
 
-    def unreachable(self, stored: StoredValues) -> Bool[np.ndarray, "leaves"]:
-        """Which leaves have no tied face and no sample that reaches the goal."""
-        return stored.partition.unreachable
-
     def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
-        """Numbers of every leaf; 0 for unreachable ones."""
+        """Numbers of every leaf; ``inf``, then zeros, for one without a tied face and a reachable sample."""
         of_masters = numbers_of_leaves(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
         terms = of_masters.data * stored.decode()[of_masters.col]  # summed in their order, on any processor alike
-        return np.bincount(of_masters.row, terms, of_masters.shape[0]).reshape(len(cells), -1)
+        coefficients = np.bincount(of_masters.row, terms, of_masters.shape[0]).reshape(len(cells), -1)
+        coefficients[stored.partition.unreachable, 0] = np.inf
+        return coefficients
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate import Proof, proven_errors
+from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
@@ -21,7 +21,7 @@ from plr_jax.plr.leaves.base import (
     largest_coordinates,
 )
 from plr_jax.plr.sampling import CellFit, Sampler, with_unseen_planes
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, Tree, tree_of
 
 # Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.
 #
@@ -208,7 +208,7 @@ class Plane(LinearLeafModel):
                 f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {bits}."
             )
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
@@ -218,8 +218,9 @@ class Plane(LinearLeafModel):
             fit = with_unseen_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
             if by_proof and sampler.memory is not None:
-                functions = *fit.cells.boxes(sampler.domain), np.where(np.isfinite(planes), planes, 0.0)
-                priority = proven_errors(sampler.memory.sources(fit.cells), self.below_cones, functions)
+                planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
+                functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), planes_or_zero)
+                priority = functions.largest_errors(sampler.memory.sources(fit.cells))
             else:
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, bound, priority, np.asarray(rules.split(fit)), limits)
@@ -238,8 +239,8 @@ class Plane(LinearLeafModel):
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
         encoding = Encoding(choices, size, rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
-        leaf = leaf[levels_of(nodes.cells[leaf])[1]]
-        return nodes.cells[leaf], stored(nodes, leaf, bits)
+        tree = tree_of(nodes.cells[leaf])
+        return tree, stored(nodes, leaf[tree.order], bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
         """Append what the file keeps of the leaves."""
@@ -249,14 +250,9 @@ class Plane(LinearLeafModel):
         """What :meth:`write` appended."""
         return read_planes(body, cells.depth)
 
-    def unreachable(self, stored: StoredPlanes) -> Bool[np.ndarray, "leaves"]:
-        """Which leaves have no sample that reaches the goal."""
-        return stored.unreachable
-
     def coefficients(self, cells: Cells, stored: StoredPlanes) -> Float[np.ndarray, "leaves terms"]:
-        """Center values, 0 for unreachable leaves, and half-differences."""
-        center, half = stored.decode()
-        return np.column_stack([np.where(stored.unreachable, 0.0, center), half])
+        """Center values, ``inf`` for unreachable leaves, and half-differences."""
+        return np.column_stack(stored.decode())
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""

@@ -22,8 +22,8 @@ from plr_jax.plr.frame import (
     mirrored_axes,
     table_corners,
 )
-from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.tree import Level, tree_of_levels
+from plr_jax.plr.leaves import as_sourced
+from plr_jax.plr.tree import Tree
 
 Value: TypeAlias = Any
 """Numbers that add, multiply and compare, or the text of such."""
@@ -226,9 +226,9 @@ class CodedTree:
         code_type: The smallest type that holds all codes, of 16 or 32 bits.
     """
 
-    def __init__(self, levels: list[Level], dim: int, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:
-        """Of levels, whose leaves are rows of a table."""
-        tree = tree_of_levels(levels, dim)
+    def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:
+        """Of a tree whose leaves are rows of a table."""
+        dim = tree.cells.dim
         inner = np.flatnonzero(tree.child >= 0)
         index = np.full(len(tree.child), -1)
         index[inner] = np.arange(len(inner))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.leaves import Cone
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
 from plr_jax.plr.portable.writers import (
     Text,
@@ -56,8 +56,8 @@ def c_header(program: Program, name: str) -> str:
     require_identifier(name)
     dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
     rows, row_of_leaf = distinct_rows(program.numbers)
-    tree = CodedTree(program.contents.levels, dim, row_of_leaf)
-    has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, SourcedLeafModel), leaf.is_of_cells
+    tree = CodedTree(program.contents.tree, row_of_leaf)
+    has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_of_cells
 
     # 1. What the header is, and what it includes.
     guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share

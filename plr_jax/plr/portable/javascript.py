@@ -10,8 +10,7 @@ from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.frame import Frame
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import SourcedLeafModel, as_sourced
+from plr_jax.plr.leaves import Cone, ConeFiles, as_sourced
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, Value, distinct_rows
 from plr_jax.plr.portable.writers import (
     Text,
@@ -22,7 +21,7 @@ from plr_jax.plr.portable.writers import (
     is_nan,
     write_lookup,
 )
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.tree import Cells, tree_of
 
 
 class JavaScriptWriter(Writer):
@@ -51,14 +50,10 @@ class _OfTables(Program):
     """A query of any cones in the plane: what it computes with has names, as ``readCones`` of ``file.js`` has it."""
 
     def __init__(self) -> None:
-        domain, halves, leaf = (
-            Box((0, 0), (1, 1)),
-            Cells.root(2).split(np.zeros(1, int)),
-            as_sourced(leaf_model("cone")),
-        )
+        domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
         goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
-        cells, stored = leaf.of_sources(domain, halves, np.zeros(2, int), goal)  # any, of more than one leaf
-        super().__init__(Contents(domain, leaf, levels_of(cells)[0], cells, stored))
+        stored = ConeFiles(goal, domain).stored(np.zeros(2, int))  # any, of more than one leaf
+        super().__init__(Contents(domain, Cone(), halves, stored))
 
         def named(name: str, of_type: str = "float") -> list[Text]:
             return [JavaScriptWriter().atom(f"{name}{axis}", of_type) for axis in range(2)]
@@ -81,7 +76,7 @@ def js_cone_reader() -> str:
     """A function of JavaScript that makes a reader of what ``readCones`` of ``file.js`` gives."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _OfTables(), np.zeros((2, 5), np.float32)
-    tree = CodedTree(program.contents.levels, 2, np.zeros(2, int))
+    tree = CodedTree(program.contents.tree, np.zeros(2, int))
     lines = [
         f"const {names};",
         "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
@@ -98,7 +93,7 @@ def js_module(program: Program) -> str:
         both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
         columns = np.column_stack([columns, both])
     rows, row_of_leaf = distinct_rows(columns)
-    tree = CodedTree(program.contents.levels, dim, row_of_leaf)
+    tree = CodedTree(program.contents.tree, row_of_leaf)
 
     # 1. What the module is, in a comment.
     names = f"[{', '.join(f'x{axis}' if dim > 3 else 'xyz'[axis] for axis in range(dim))}]"
@@ -109,7 +104,7 @@ def js_module(program: Program) -> str:
         "//",
         f"// distance({names}): distance from a point {ends_of(program.domain)};",
         "// Infinity outside this closed domain, NaN where a coordinate is. It knows no obstacles.",
-        *([waypoint] * isinstance(leaf, SourcedLeafModel)),
+        *([waypoint] * isinstance(leaf, Cone)),
         *([bounds] * (certificate is not None)),
         "// Answers are those of plr.numpy() to points of 64 bits, bit for bit.",
         "",
@@ -168,7 +163,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     do.statements.append(f"return {answer};")
     lines = _descent(tree, program.leaf.is_of_cells) if has_tree else []
     lines += function("export function distance(x)", do.used_statements())
-    if isinstance(program.leaf, SourcedLeafModel):
+    if isinstance(program.leaf, Cone):
         do, nowhere = JavaScriptWriter(), [f"return [{', '.join(['NaN'] * dim)}];"]
         _, numbers = write_lookup(do, program, "double", read_leaf, nowhere)
         do.statements.append(f"return [{', '.join(map(str, program.waypoint(numbers)))}];")

@@ -15,7 +15,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
-from plr_jax.plr.leaves.base import as_sourced
+from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, limited
 from plr_jax.plr.portable.c import c_header
 from plr_jax.plr.portable.javascript import js_module
@@ -231,9 +231,9 @@ class NumpyPLR:
             )
         self._data = bytes(data)
         self._program = program = Program(decode(self._data))
-        cells, self.dim, self.domain = program.contents.cells, program.dim, program.domain
+        cells, self.dim, self.domain = program.contents.tree.leaves, program.dim, program.domain
         self.num_leaves = len(cells)
-        self._table = LeafTable(CodedTree(program.contents.levels, self.dim, np.arange(self.num_leaves)))
+        self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
         numbers = program.numbers
         if program.leaf.is_of_cells:  # how many cells span the domain along each axis, and which it is
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)

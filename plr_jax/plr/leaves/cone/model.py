@@ -6,10 +6,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import shortened
-from plr_jax._types import ChangingFn, FamilyFn, Sources
+from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -17,24 +17,21 @@ from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth import Limits, best_axis, grow, largest_error
 from plr_jax.plr.leaves.base import (
     UNIT,
-    FamilyLeafModel,
-    ProvenLeaves,
+    LeafModel,
     Rules,
-    UpdatedLeaves,
     largest_coordinates,
 )
-from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones, read_cones, write_cones
-from plr_jax.plr.leaves.cone.search import FamilyTask, best_cones_of_goal, family_task
-from plr_jax.plr.leaves.cone.update import updated_cones
-from plr_jax.plr.sampling import Sampler, sample_pattern
-from plr_jax.plr.tree import Cells, levels_of
+from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
+from plr_jax.plr.leaves.cone.search import best_cones_of_goal
+from plr_jax.plr.sampling import Sampler
+from plr_jax.plr.tree import Cells, Tree
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""
 
 
 @dataclass(frozen=True)
-class Cone(FamilyLeafModel):
+class Cone(LeafModel):
     """Cones ``offset + |x - source|``. Coefficients: the offset, the coordinates of the source.
 
     Away from the lines where the next corner changes, that is what a distance among obstacles is.
@@ -48,7 +45,7 @@ class Cone(FamilyLeafModel):
         """Half a byte each, and what some tens of sources take."""
         return num_leaves // 2 + 256
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredCones]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones]:
         """Find the best partition of all, of a distance function that answers for whole cells."""
         _require_euclidean(sampler.domain)
         if sampler.memory is None:
@@ -66,16 +63,7 @@ class Cone(FamilyLeafModel):
         if not len(visible.cell):
             sampler.root()  # which says so
         run = partial(grow, limits=limits)
-        _, cells, stored = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
-        return cells, stored
-
-    def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:
-        """What finds the best partitions for many goals at once; samples only choose sources in sight."""
-        return family_task(first, domain, limits, sample_pattern(domain.dim, self.num_samples, 0, seed))
-
-    def updated(self, leaves: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits) -> UpdatedLeaves:
-        """Leaves in which all distances have changed by one number stay."""
-        return updated_cones(leaves, oracle, before, limits, sample_pattern(2, self.num_samples, 0, 0))
+        return best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
@@ -86,19 +74,8 @@ class Cone(FamilyLeafModel):
         _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
-    def of_sources(
-        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
-    ) -> tuple[Cells, StoredCones]:
-        """Leaves and what is stored of them; one without a source takes that of the leaf before."""
-        order = levels_of(cells)[1]
-        return cells[order], ConeFiles(sources, domain).stored(source[order])
-
-    def unreachable(self, stored: StoredCones) -> Bool[np.ndarray, "leaves"]:
-        """None: where nothing reaches the goal, leaves have the source of another one."""
-        return np.zeros(len(stored.source), bool)
-
     def coefficients(self, cells: Cells, stored: StoredCones) -> Float[np.ndarray, "leaves terms"]:
-        """Offsets and sources."""
+        """Offsets and sources: where nothing reaches the goal, a leaf has the source of another one."""
         return np.column_stack([stored.sources.offsets, stored.sources.points])[stored.source]
 
     def values(
@@ -156,6 +133,16 @@ class Cone(FamilyLeafModel):
     def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
         """All but the offset."""
         return numbers[1:]
+
+
+def as_sourced(leaf: LeafModel) -> Cone:
+    """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
+    if not isinstance(leaf, Cone):
+        raise ValueError(
+            f"Leaves of kind {leaf.name!r} have no sources, so they do not say where to go next. Build the PLR with "
+            "leaf='cone', or follow it with descend."
+        )
+    return leaf
 
 
 def _require_euclidean(domain: Box) -> None:

@@ -22,10 +22,9 @@ from plr_jax.plr.best_partition import EXACT, POOR, BoxLevel, Forest, PricedTree
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import bounds_of_pieces
 from plr_jax.plr.growth import Limits
-from plr_jax.plr.leaves.base import MemberLeaves
-from plr_jax.plr.leaves.cone.codec import ConeFiles
+from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
-from plr_jax.plr.tree import Cells, Level, grown_domain, levels_of
+from plr_jax.plr.tree import Cells, Tree, grown_domain, tree_of, tree_of_axes
 
 # 1. Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use.
 
@@ -184,32 +183,28 @@ _KEY_BITS = 40  # for the place of a box in its level
 
 
 @dataclass(frozen=True, eq=False)
-class MemberTree:
-    """The tree of one goal: its levels, and its leaves in the order of its traversal.
+class LeafBoxes:
+    """The boxes that are the leaves of one goal's tree, in the order of its traversal.
 
     Attributes:
-        levels: As a file stores them.
-        cells: The leaves.
         source: Viewpoint of each leaf's source, -1 where nothing reaches the goal.
         depth: The level of boxes that each leaf is one of.
         box: The box there.
     """
 
-    levels: list[Level]
-    cells: Cells
     source: Int[np.ndarray, "leaves"]
     depth: Int[np.ndarray, "leaves"]
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> MemberTree:
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> tuple[Tree, LeafBoxes]:
     """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
-    parts = [(level.boxes, box) for level, box in zip(levels, tree.leaves, strict=False)]
-    first, *others = (boxes.cells[box] for boxes, box in parts)
-    cells = first.append(*others)
-    splits, order = (tree.splits, tree.order) if is_walked else levels_of(cells)
-    depth, box = np.repeat(np.arange(len(parts)), [len(box) for _, box in parts]), np.concatenate(tree.leaves)
-    return MemberTree(splits, cells[order], views_of_leaves(levels, tree)[order], depth[order], box[order])
+    found, order = tree_of_axes(tree.axes, 2), tree.order
+    if not is_walked:
+        found = tree_of(found.leaves)
+        order = order[found.order]
+    depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
+    return found, LeafBoxes(views_of_leaves(levels, tree)[order], depth[order], box[order])
 
 
 def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
@@ -250,7 +245,7 @@ class Options:
     area: Float[np.ndarray, "options"]
 
 
-def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: Pattern) -> Options:
+def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> Options:
     """The options of all boxes that are leaves of some tree."""
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
@@ -283,12 +278,12 @@ def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: P
     return Options(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
 
 
-def _keys(tree: MemberTree) -> Int[np.ndarray, "leaves"]:
+def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
     return (tree.depth << _KEY_BITS) + tree.box
 
 
 def sources_in_sight(
-    tree: MemberTree, options: Options, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
+    tree: LeafBoxes, options: Options, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
     """Viewpoints for the leaves of a tree, another one where a part does not see the best one and that is worth it.
 
@@ -307,7 +302,7 @@ def sources_in_sight(
     return changed(bisect_left(range(1, len(leaf)), True, key=lambda count: not fits(changed(count))))
 
 
-def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
+def _changes(tree: LeafBoxes, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
     option, leaf = run_members(options.first, box)
@@ -335,6 +330,8 @@ _ROOM = 64
 """One byte for so many is left for sources to be changed to others that are in sight."""
 
 
+ConeTree: TypeAlias = tuple[Tree, StoredCones]
+"""A tree, and what a file keeps of its leaves in the order of its traversal."""
 Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
 """Calls a step on trees again and again until it gives None, and gives the last ones."""
 
@@ -346,7 +343,7 @@ def run_through(forest: Forest, step: Callable[[Forest], Forest | None]) -> Fore
     return forest
 
 
-def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> MemberLeaves:
+def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
     """Those of one goal, from the sources of the grown domain as a cell."""
     negligible = max(limits.tolerance, resolved_error(visible.distance))
     box = fitted_boxes(domain, negligible, Cells.root(2), visible)
@@ -364,7 +361,7 @@ def best_cones(
     pattern: Pattern,
     run: Run,
     thrift: Thrift = EXACT,
-) -> list[MemberLeaves]:
+) -> list[ConeTree]:
     """The leaves of each member, some of which have sources that are in sight instead of the best ones.
 
     Args:
@@ -388,20 +385,20 @@ def best_cones(
         if thrift.is_walked:
             view = views_of_leaves(levels, tree)[tree.order]
         else:
-            view = tree_of_leaves(levels, tree, is_walked=False).source
+            view = tree_of_leaves(levels, tree, is_walked=False)[1].source
         return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
 
     num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
     search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
     trees = [tree_of_leaves(levels, tree, thrift.is_walked) for tree in run(search.first(), search.next).trees]
-    options, members = options_of_trees(levels, trees, pattern), []
-    for member, tree in enumerate(trees):
+    options, members = options_of_trees(levels, [leaves for _, leaves in trees], pattern), []
+    for member, (tree, leaves) in enumerate(trees):
 
         def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
             return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
 
-        view = views(member, sources_in_sight(tree, options, fits))
-        members.append((tree.levels, tree.cells, files[member].stored(view)))
+        view = views(member, sources_in_sight(leaves, options, fits))
+        members.append((tree, files[member].stored(view)))
     return members
 
 
@@ -442,7 +439,7 @@ class FamilyTask:
     limits: Limits
     pattern: Pattern
 
-    def __call__(self, oracles: Sequence[FamilyFn]) -> list[MemberLeaves]:
+    def __call__(self, oracles: Sequence[FamilyFn]) -> list[ConeTree]:
         """The leaves of some members."""
         found, key, node_of = oracles[0].family_sources(self.shared, oracles)
         if (lost := np.flatnonzero((node_of < 0).all(axis=1))).size:

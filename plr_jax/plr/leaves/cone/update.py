@@ -13,6 +13,7 @@ left, the price falls and the leaves with the largest errors are sought again.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,11 +27,11 @@ from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, OwnBoxes, b
 from plr_jax.plr.cell_memory import sources_down
 from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.growth import Limits
-from plr_jax.plr.leaves.base import ProvenLeaves, UpdatedLeaves
+from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
-    MemberTree,
+    LeafBoxes,
     best_cones_of_goal,
     fitted_boxes,
     options_of_trees,
@@ -38,8 +39,8 @@ from plr_jax.plr.leaves.cone.search import (
     run_through,
     sources_in_sight,
 )
-from plr_jax.plr.sampling import Pattern
-from plr_jax.plr.tree import MAX_DEPTH, Cells, Level, Tree, grown_domain
+from plr_jax.plr.sampling import Pattern, sample_pattern
+from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
 
 _FINE = 2.0**-24  # of the domain's width, by which stored sources may be off
 
@@ -250,17 +251,41 @@ def _share(tree: Tree, limits: Limits) -> float:
     return LEAST_SHARE_PROVEN / max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)
 
 
-def updated_cones(
-    proven: ProvenLeaves, oracle: ChangingFn, before: ChangingFn, limits: Limits, pattern: Pattern
-) -> UpdatedLeaves:
-    """Leaves that stay, and the best ones anew in the place of the others, within limits.
+class UpdatedCones(NamedTuple):
+    """Leaves after a map has changed, in the order of their tree's traversal.
 
-    By the pattern, samples of a cell, sources in sight are chosen.
+    Attributes:
+        tree: The tree.
+        stored: What a file keeps of the leaves.
+        bounds: Bounds of the distance minus what each leaf holds, for leaves that stay.
+        rebuilt: The other leaves.
+        visible: The sources of rebuilt leaves as cells.
+        priced: Costs of the nodes of the tree; None if they are not known.
     """
-    changed = oracle.changed_since(before)
-    leaves = ConeLeaves(proven.domain, proven.tree, proven.stored, proven.bounds, changed.slack)
+
+    tree: Tree
+    stored: StoredCones
+    bounds: LeafBounds
+    rebuilt: Int[np.ndarray, "rebuilt"]
+    visible: CellSources
+    priced: PricedNodes | None
+
+
+def updated_cones(
+    leaves: ConeLeaves,
+    priced: PricedNodes | None,
+    changed: ChangedDistances,
+    oracle: ChangingFn,
+    before: ChangingFn,
+    limits: Limits,
+) -> UpdatedCones:
+    """Keep leaves in which all distances have changed by one number, and find the best ones in place of the others.
+
+    Raises ``ValueError`` if the oracle before is found to be another one than that of the leaves' bounds.
+    """
+    pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # by which sources in sight are chosen
     _require_proof_of(before, leaves)
-    priced = proven.priced or priced_nodes(leaves, before, limits)
+    priced = priced or priced_nodes(leaves, before, limits)
     change, source = leaves.kept(changed, before.sources, oracle.sources)
     search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
     if search.is_sought.all() and (search.levels[0].boxes.source < 0).all():
@@ -268,21 +293,23 @@ def updated_cones(
     best = _best_within(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        levels, cells, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_through)
-        visible, unknown = oracle.sources_of_boxes(*cells.grown_boxes(leaves.domain)), np.zeros((2, len(cells)))
-        return UpdatedLeaves(levels, cells, new, LeafBounds(*unknown), np.arange(len(cells)), visible, None)
-    cells, new = search.cells(best.leaves), search.files.stored(search.sources_in_sight(best, pattern))
+        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_through)
+        visible = oracle.sources_of_boxes(*tree.leaves.grown_boxes(leaves.domain))
+        unknown = np.zeros((2, len(tree.leaves)))
+        return UpdatedCones(tree, new, LeafBounds(*unknown), np.arange(len(tree.leaves)), visible, None)
+    new = search.files.stored(search.sources_in_sight(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
     # A cone has moved with its offset, and a little where its source is rounded another way.
     rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
     beside = np.linalg.norm(new.sources.points[new.source[stays]] - leaves.apex[old], axis=1)
-    lower, upper = np.zeros(len(cells)), np.zeros(len(cells))
+    lower, upper = np.zeros((2, len(best.leaves)))
     lower[stays] = leaves.bounds.lower[old] + rises - beside
     upper[stays] = leaves.bounds.upper[old] + rises + beside
     visible = search.visible(best.leaves[anew])
-    return UpdatedLeaves(best.levels, cells, new, LeafBounds(lower, upper), anew, visible, search.priced(best))
+    tree = tree_of_axes(best.axes, 2)
+    return UpdatedCones(tree, new, LeafBounds(lower, upper), anew, visible, search.priced(best))
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
@@ -306,7 +333,7 @@ class FoundTree:
 
     Attributes:
         price: The price.
-        levels: As a file stores them.
+        axes: The axis along which each node is split, level by level; -1 for a leaf.
         nodes: Which nodes of the tree before, and boxes behind these, its nodes are, level by level.
         leaves: Which its leaves are, as they are traversed.
         num_bytes: Of its file.
@@ -314,7 +341,7 @@ class FoundTree:
     """
 
     price: float
-    levels: list[Level]
+    axes: list[Int[np.ndarray, "_"]]
     nodes: Int[np.ndarray, "nodes"]
     leaves: Int[np.ndarray, "leaves"]
     num_bytes: int
@@ -387,10 +414,6 @@ class ConeSearch:
         """How many boxes were looked at."""
         return sum(len(level.key) for level in self.levels)
 
-    def cells(self, node: Int[np.ndarray, "some"]) -> Cells:
-        """Cells of nodes and boxes."""
-        return self.leaves.tree.cells.append(*(level.boxes.cells for level in self.levels))[node]
-
     def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
         """Sources of nodes and boxes."""
         return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
@@ -461,11 +484,11 @@ class ConeSearch:
         axis, child = np.concatenate(axes), np.concatenate(children)
         place, roots = np.arange(len(axis)), np.concatenate(self.roots)
         place[roots] = num + np.arange(len(roots))
-        levels, nodes, paths = [], [place[:1]], [np.zeros(1, np.int64)]
+        walked, nodes, paths = [], [place[:1]], [np.zeros(1, np.int64)]
         while len(here := nodes[-1]):
             inner = axis[here] >= 0
-            bit = 1 << (MAX_DEPTH - len(levels))
-            levels.append(Level(inner, axis[here[inner]]))
+            bit = 1 << (MAX_DEPTH - len(walked))
+            walked.append(axis[here])
             nodes.append(place[child[here[inner]]].ravel())
             paths.append((paths[-1][inner, None] + np.array([0, bit])).ravel())
         node, path = np.concatenate(nodes), np.concatenate(paths)
@@ -473,7 +496,7 @@ class ConeSearch:
         leaf = node[leaf[np.argsort(path[leaf])]]
         num_bytes = self.files.num_bytes(self.source(leaf), self.limits)
         share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
-        return FoundTree(price, levels, node, leaf, num_bytes, share)
+        return FoundTree(price, walked, node, leaf, num_bytes, share)
 
     def sources_in_sight(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
         """Sources of the leaves of a tree, of boxes others where a part does not see the best one."""
@@ -481,7 +504,7 @@ class ConeSearch:
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
         depth = np.searchsorted(first, leaf, side="right") - 1
-        tree = MemberTree([], self.cells(leaf), source[place], depth, leaf - first[depth])
+        tree = LeafBoxes(source[place], depth, leaf - first[depth])
 
         def with_views(view: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
             changed = source.copy()
