@@ -236,7 +236,12 @@ class _Mesh:
                 continue
             best = 0
             for i in range(1, len(chain)):
-                if self._in_circle(start, end, chain[best], chain[i]):
+                # Whether the vertex lies inside the circle through three, which stand counterclockwise.
+                dx, dy = self.points[chain[i]]
+                rows = [(x - dx, y - dy) for x, y in (self.points[each] for each in (start, end, chain[best]))]
+                (ax, ay), (bx, by), (cx, cy) = rows
+                a2, b2, c2 = (x * x + y * y for x, y in rows)
+                if a2 * (bx * cy - by * cx) - b2 * (ax * cy - ay * cx) + c2 * (ax * by - ay * bx) > 0:
                     best = i
             apex = chain[best]
             for a, b, c in ((start, end, apex), (end, apex, start), (apex, start, end)):
@@ -252,14 +257,6 @@ class _Mesh:
         """Positive if three points turn left."""
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-    def _in_circle(self, a: int, b: int, c: int, d: int) -> bool:
-        """Whether a point lies inside the circle through three, which stand counterclockwise."""
-        dx, dy = self.points[d]
-        rows = [(x - dx, y - dy) for x, y in (self.points[a], self.points[b], self.points[c])]
-        (ax, ay), (bx, by), (cx, cy) = rows
-        a2, b2, c2 = (x * x + y * y for x, y in rows)
-        return a2 * (bx * cy - by * cx) - b2 * (ax * cy - ay * cx) + c2 * (ax * by - ay * bx) > 0
 
 
 def _inside(

@@ -90,22 +90,6 @@ class _Cones:
         return _Cones(self.view[rows], self.half_edge[rows], self.right[:, rows], self.left[:, rows])
 
 
-def look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[_Cones, Int[np.ndarray, "2 pairs"]]:
-    """The cones that end at walls, which fill what viewpoints look into; and viewpoints and vertices in sight.
-
-    Some of these pairs are there repeatedly.
-    """
-    first = _first_cones(triangulation, views)
-    # The corners of the triangles at the viewpoints, the vertex at which one lies among them, are seen.
-    corners = triangulation.origin.reshape(-1, 3)[first.half_edge // 3]
-    ended, seen = [first[:0]], [np.stack([np.repeat(first.view, 3), corners.ravel()])]
-    for walls, new_seen, _ in _expansion(triangulation, views, first):
-        ended.append(walls)
-        seen.append(new_seen)
-    columns = zip(*((cones.view, cones.half_edge, cones.right, cones.left) for cones in ended), strict=True)
-    return _Cones(*(np.concatenate(column, axis=-1) for column in columns)), np.concatenate(seen, axis=1)
-
-
 def triangles_within(
     triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors
 ) -> Int[np.ndarray, "2 visits"]:
@@ -286,60 +270,56 @@ def visibility_of(
     Returns:
         Their visibility polygons, and viewpoint and vertex of each pair that see one another, some repeatedly.
     """
-    boundary, num_views = triangulation.boundary, len(views.points)
-    cut, counts = np.empty((num_views, 2)), np.zeros(num_views, int)
-    keys, edges, seen = [np.empty(0)], [np.empty(0, np.int32)], [np.empty((2, 0), np.int32)]
+    tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
-        for begin in range(0, num_views, _VIEWS):
-            part = views[begin : begin + _VIEWS]
-            cones, of_part_seen = look_around(triangulation, part)
-            of_part = slice(begin, begin + len(part.points))
-            cut[of_part] = _cuts(boundary, part, cones)
-            view, key, edge = _intervals(boundary, part, cones, triangulation.wall[cones.half_edge], cut[of_part])
-            counts[of_part] = np.bincount(view, minlength=len(part.points))
-            keys.append(4.0 * begin + key)
-            edges.append(edge)
-            seen.append(of_part_seen + np.array([[begin], [0]], np.int32))
-            progress.update(len(part.points))
-    first = np.concatenate([[0], np.cumsum(counts)])
-    polygons = views.points, cut, first, np.concatenate(keys), np.concatenate(edges)
-    return VisibilityTable(boundary, triangulation.tolerance, *polygons), np.concatenate(seen, axis=1)
+        for begin in range(0, max(1, num_views), _VIEWS):
+            table, of_part = _look_around(triangulation, views[begin : begin + _VIEWS])
+            tables.append(table)
+            seen.append(of_part + np.array([[begin], [0]], np.int32))
+            progress.update(len(table.points))
+    return joined_tables(tables), np.concatenate(seen, axis=1)
 
 
-def _cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
-    """For each viewpoint a direction in which it sees no vertex.
-
-    Of one with sectors the middle between the end of its first one and the start of the next, of any other the middle
-    of the widest cone.
-    """
-    opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), views.closes(boundary)))
+def _look_around(
+    triangulation: Triangulation, views: Viewpoints
+) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
+    # 1. The cones that end at walls, which fill what viewpoints look into, and the vertices in sight. The corners of
+    #    the triangles at the viewpoints, the vertex at which one lies among them, are seen.
+    boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
+    corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
+    ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]
+    for walls, new_seen, _ in _expansion(triangulation, views, cones):
+        ended.append(walls)
+        seen.append(new_seen)
+    columns = zip(*((of.view, of.half_edge, of.right, of.left) for of in ended), strict=True)
+    cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
+    # 2. For each viewpoint a direction in which it sees no vertex. Of one with sectors the middle between the end of
+    #    its first one and the start of the next, of any other the middle of the widest cone.
+    closing = views.closes(boundary)
+    opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
     order = np.lexsort((opens, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
     second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
     end = closes[order[first]]
-    angle = np.empty(len(views.points))
+    angle = np.empty(len(each))
     angle[owner] = end + (opens[order[second]] - end) % (2 * np.pi) / 2
     for view in np.flatnonzero(views.looks_around):
         dx, dy = cones.right[:, cones.view == view]
         directions = np.sort(np.arctan2(dy, dx))
         gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
         angle[view] = directions[gaps.argmax()] + gaps.max() / 2
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-def _intervals(
-    boundary: Boundary, views: Viewpoints, cones: _Cones, wall: Int[np.ndarray, "n"], cut: Vectors
-) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
-    """Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on."""
+    cut = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    # 3. Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on, where a
+    #    viewpoint sees what it does at the end of the turn.
     view = np.concatenate([cones.view, views.owner])
-    (dx, dy), (cx, cy) = np.concatenate([cones.right, views.closes(boundary).T], axis=1), cut[view].T
+    (dx, dy), (cx, cy) = np.concatenate([cones.right, closing.T], axis=1), cut[view].T
     key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
-    edge = np.concatenate([wall, np.full(len(views.owner), -1, np.int32)])
+    edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
     order = np.argsort(key)
     view, key, edge = view[order], key[order], edge[order]
-    # From the cut on, it sees what it does at the end of the turn.
-    each = np.arange(len(views.points))
     first, last = np.searchsorted(view, each), np.searchsorted(view, each, side="right") - 1
     view, key, edge = (np.insert(a, first, b) for a, b in ((view, each), (key, 4.0 * each), (edge, edge[last])))
-    new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))
-    return view[new], key[new], edge[new]
+    new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
+    first = np.searchsorted(view[new], np.arange(len(each) + 1))
+    table = VisibilityTable(boundary, triangulation.tolerance, views.points, cut, first, key[new], edge[new])
+    return table, np.concatenate(seen, axis=1)
