@@ -11,7 +11,6 @@ from robot_helpers import PEBBLE, WING, AnyShape, sled
 from shapely.geometry import Polygon
 
 from plr_jax import (
-    BLOptions,
     DiscRobot,
     PointRobot,
     PolygonRobot,
@@ -249,13 +248,3 @@ def test_all_turn_the_same_way(theta, side, k):
     assert solution.path_at(solution.makespan / 2)[0, 2] == pytest.approx(middle)
     assert motion.at(np.array([motion.duration / 2]))[0, 0, 2] == pytest.approx(middle)
     assert path_cost(problem, path) == pytest.approx(HAND.circumscribed_radius * np.pi, rel=1e-9)
-
-
-@pytest.mark.parametrize(("y", "theta", "k"), [(9.6, -3.141092653589793, -3), (0.4, 0.0005, 1)])
-def test_a_planned_half_turn_is_valid(y, theta, k):
-    """Beside a wall, where the hand has room for one of the two ways."""
-    start, goal = (5.0, y, theta), (5.0, y, half_turn_from(theta, -1, k))
-    problem = Problem(Workspace(((0, 0), (10, 10))), [HAND], [start], [goal])
-    primitives = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 4)]
-    solution = bl_plan(problem, None, BLOptions(step=2.5, primitives=primitives))
-    assert solution.solved and validate(problem, solution.path).valid
