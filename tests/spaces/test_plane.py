@@ -5,7 +5,6 @@ from robot_helpers import BAR, POINT, WING
 from space_helpers import (
     BOUNDS,
     check_classification,
-    check_motions,
     keep_clear,
     random_boxes,
     random_workspace,
@@ -71,16 +70,6 @@ def test_samples_agree_with_what_is_proven(seed, robot):
     assert (state[share > 1 - 1e-12] != BLOCKED).all()
     assert (state[(share > 1e-6) & (share < 0.99)] == MIXED).all()
     assert (state[shapely.distance(boxes, free) > 0.005 * 0.2] == BLOCKED).all()
-
-
-@pytest.mark.parametrize("robot", [POINT, DiscRobot(0.2)])
-def test_motions_are_free_where_their_samples_are(robot):
-    workspace = random_workspace(7)
-    space = PlaneSpace(workspace, robot)
-    q0, q1 = np.random.default_rng(7).uniform(0, (4, 3), (2, 400, 2))
-    radius = space.robot.rounding
-    proven, sampled = check_motions(space, lambda q: keep_clear(workspace, shapely.points(q), radius), q0, q1, 257)
-    assert (sampled & ~proven).sum() <= 2 and proven.sum() > 20
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 from eikonal_helpers import check_between
-from space_helpers import check_classification, check_motions, random_boxes, states
-from voxel_helpers import clearances, passes, random_volume, state_of
+from space_helpers import random_boxes, states
+from voxel_helpers import passes, random_volume, state_of
 
 from plr_jax import (
     Box,
@@ -113,28 +113,6 @@ def test_in_the_plane_it_is_the_plane(radius):
     answers = space.are_free(q0, q1)
     np.testing.assert_array_equal(answers, plane.are_free(q0, q1))
     assert 20 < answers.sum() < 380
-
-
-@pytest.mark.parametrize(("dim", "radius"), [(1, 0.4), (2, 1.3), (3, 0.3), (3, 0.8), (4, 0.35)])
-def test_balls_keep_off_by_their_radius(dim, radius):
-    rng = np.random.default_rng(dim)
-    free = rng.random([12, 12, 8, 4][:dim]) > (0.06 if radius > 0.5 else 0.15)
-    space = VoxelSpace(free, radius=radius)
-
-    def is_free(q):
-        return clearances(free, q) >= radius - 1e-9
-
-    lo, hi = random_boxes(rng, space.domain, 400, 6)
-    state = check_classification(space, is_free, lo, hi, 3)
-    assert {*state} == {*CellState}
-    clearance = clearances(free, (lo + hi) / 2)
-    assert (state[clearance - np.linalg.norm(hi - lo, axis=1) / 2 > radius] == FREE).all()
-    q0 = rng.random((400, dim)) * free.shape
-    q1 = np.clip(q0 + rng.normal(size=q0.shape), 0, free.shape)
-    q0[:200], q1[:200] = (np.round(2 * q) / 2 for q in (q0[:200], q1[:200]))
-    np.testing.assert_array_equal(space.is_free(q0), is_free(q0))
-    proven, sampled = check_motions(space, is_free, q0, q1)
-    assert (sampled & ~proven).sum() <= 0.01 * len(q0) and proven.sum() > 10
 
 
 def test_a_ball_slides_along_walls_and_through_passages_as_wide_as_it():
@@ -256,9 +234,6 @@ def test_bounds_of_a_volume_hold_the_lengths_of_paths():
         (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
         (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
         (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0, for a point, or at least"),
-        (lambda: VoxelSpace(CHECKERS).is_free([[0.5]]), r"q must have shape \(n, 2\)"),
-        (lambda: VoxelSpace(CHECKERS).classify([[1, 1]], [[0, 0]]), "hi nowhere below lo"),
-        (lambda: VoxelSpace(CHECKERS).are_free([[1, 1]], np.zeros((2, 2))), "as many starts as ends"),
         (lambda: solve_eikonal(VoxelSpace(CHECKERS), (1.5, 0.5)), "must be a free configuration"),
     ],
 )
