@@ -164,7 +164,27 @@ class Solution:
             ValueError: If the solution contradicts itself, as a path without a cost does, or takes more than 64 MiB.
             OSError: If the file cannot be written.
         """
-        save_solution(self, path)
+        stats = self.stats
+        entry = {
+            "format": format_name(_KIND),
+            "version": _VERSION,
+            "status": self.status.name,
+            **{name: None if (number := getattr(self, name)) == math.inf else float(number) for name in _NUMBERS},
+            "stats": {
+                **{name: int(getattr(stats, name)) for name in _COUNTS},
+                "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
+                "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
+                "found_by": stats.found_by,
+            },
+            "times": None if self.times is None else self.times.tolist(),
+            "path": None if self.path is None else self.path.tolist(),
+        }
+        _solution_in(entry)  # or it could not be read back
+        data = (json.dumps(entry, allow_nan=False) + "\n").encode()
+        if len(data) > _MOST_BYTES:
+            had = f"this one would have {len(data):,}"
+            raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, {had}.")
+        write_atomically(Path(path), data)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Solution":
@@ -231,31 +251,6 @@ def straight_line_bound(problem: Problem) -> float:
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-def save_solution(solution: Solution, path: str | os.PathLike[str], **more: Any) -> None:
-    """Write a solution as :meth:`Solution.save` does, with more keys that a reader may ignore."""
-    stats = solution.stats
-    entry = {
-        "format": format_name(_KIND),
-        "version": _VERSION,
-        "status": solution.status.name,
-        **{name: None if (number := getattr(solution, name)) == math.inf else float(number) for name in _NUMBERS},
-        **more,
-        "stats": {
-            **{name: int(getattr(stats, name)) for name in _COUNTS},
-            "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
-            "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
-            "found_by": stats.found_by,
-        },
-        "times": None if solution.times is None else solution.times.tolist(),
-        "path": None if solution.path is None else solution.path.tolist(),
-    }
-    _solution_in(entry)  # or it could not be read back
-    data = (json.dumps(entry, allow_nan=False) + "\n").encode()
-    if len(data) > _MOST_BYTES:
-        raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, this one would have {len(data):,}.")
-    write_atomically(Path(path), data)
-
-
 def _solution_in(entry: Any) -> Solution:
     """The solution that a document stands for; ``ValueError`` if it stands for none."""
     require_format(entry, _KIND, _VERSION, _KEYS)
@@ -264,29 +259,25 @@ def _solution_in(entry: Any) -> Solution:
         raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
     numbers = (math.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
     cost, span, bound, factor = numbers
-    path, times = _motion_in(entry)
-    if times is not None and (times[0] != 0 or times[-1] != span):
-        raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
+    path = times = None
+    parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}
+    missing = [name for name, part in parts.items() if part is None]
+    if len(missing) < len(parts):
+        if missing:
+            raise ValueError(f"expected {', '.join(parts)} to be null all or none; null are {', '.join(missing)}.")
+        path = as_numbers('"path"', parts["path"], "numbers of shape (steps, robots, dof)")
+        if path.ndim != 3 or 0 in path.shape or path.shape[2] not in (2, 3) or not np.isfinite(path).all():
+            expected = "finite, of shape (steps, robots, 2 or 3)"
+            raise ValueError(f'expected "path" to be {expected}, got shape {path.shape}.')
+        times = as_numbers('"times"', parts["times"], "numbers of shape (steps,)")
+        if times.shape != path.shape[:1] or not np.isfinite(times).all() or (np.diff(times) < 0).any():
+            expected = f"{len(path)} finite numbers that never fall, one a row of the path"
+            raise ValueError(f'expected "times" to be {expected}.')
+        if times[0] != 0 or times[-1] != span:
+            raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
     samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
     stats = _stats_in(entry["stats"])
     return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
-
-
-def _motion_in(entry: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """The path and its times, or None twice."""
-    parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}
-    if all(part is None for part in parts.values()):
-        return None, None
-    missing = [name for name, part in parts.items() if part is None]
-    if missing:
-        raise ValueError(f"expected {', '.join(parts)} to be null all or none; null are {', '.join(missing)}.")
-    path = as_numbers('"path"', parts["path"], "numbers of shape (steps, robots, dof)")
-    if path.ndim != 3 or 0 in path.shape or path.shape[2] not in (2, 3) or not np.isfinite(path).all():
-        raise ValueError(f'expected "path" to be finite, of shape (steps, robots, 2 or 3), got shape {path.shape}.')
-    times = as_numbers('"times"', parts["times"], "numbers of shape (steps,)")
-    if times.shape != path.shape[:1] or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise ValueError(f'expected "times" to be {len(path)} finite numbers that never fall, one a row of the path.')
-    return path, times
 
 
 def _stats_in(entry: Any) -> Stats:

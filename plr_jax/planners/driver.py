@@ -202,10 +202,17 @@ class Run:
                 return status
             if limit := self.budget.exceeded():
                 return limit
-            following = _next_schedule(step, weight, options)
-            if following is None:
+            # A finer lattice and a smaller weight, or on a given lattice best-first search alone: LaCAM would do the
+            # same again.
+            lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
+            if options.step is None:
+                step, weight = step / _REFINEMENT, lighter
+            elif "lacam" in options.searchers and "bl" in options.searchers:
+                options = replace(options, searchers=("bl",))
+            elif "lacam" not in options.searchers and lighter < weight:
+                weight = lighter
+            else:
                 return Status.EXHAUSTED
-            step, weight, options = following
 
     def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
         """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
@@ -232,7 +239,18 @@ class Run:
                         weight *= _GREEDIER
                     self.ends("heuristic")
                 for searches in reversed(running):
-                    status = self._search_on(searches)
+                    self.progress.set_postfix(
+                        step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
+                    )
+                    try:
+                        status = searches.run(self.progress)
+                    except TimeoutError:
+                        status = Status.TIME_LIMIT
+                    finally:
+                        self.ends("search")
+                        self.samples = searches.joint.configurations(searches.state)
+                    if status is Status.MEMORY_LIMIT:
+                        self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
                     if status is Status.SOLVED:
                         for other in set(running) - {searches}:
                             other.release()
@@ -274,22 +292,6 @@ class Run:
             return None
         finally:
             self.ends("lattice")
-
-    def _search_on(self, searches: "Searches") -> Status | None:
-        """Let the searches on some lattices go on for a turn."""
-        self.progress.set_postfix(
-            step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
-        )
-        try:
-            status = searches.run(self.progress)
-        except TimeoutError:
-            status = Status.TIME_LIMIT
-        finally:
-            self.ends("search")
-            self.samples = searches.joint.configurations(searches.state)
-        if status is Status.MEMORY_LIMIT:
-            self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
-        return status
 
     def _improve(self, searches: "Searches") -> None:
         """Offer a path that was found, then cheaper ones along the lattices, then shortened ones till one will do."""
@@ -498,13 +500,3 @@ def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: Tr
     while step < _COARSEST * extent and (_work(problem, step) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step
-
-
-def _next_schedule(step: float, weight: float, options: BLOptions) -> tuple[float, float, BLOptions] | None:
-    """The search after one that found a path: a finer lattice, a smaller weight; None if there is nothing left."""
-    lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
-    if options.step is None:
-        return step / _REFINEMENT, lighter, options
-    if "lacam" in options.searchers:  # on the same lattice it would do the same again
-        return (step, weight, replace(options, searchers=("bl",))) if "bl" in options.searchers else None
-    return (step, lighter, options) if lighter < weight else None

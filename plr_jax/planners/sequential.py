@@ -145,21 +145,12 @@ class Journey(NamedTuple):
     home: Float[np.ndarray, "corners"]
     to_go: Float[np.ndarray, "corners"]
 
-    @property
-    def detours(self) -> Float[np.ndarray, "corners"]:
-        """What the shortest ways from start to goal by way of each corner cost."""
-        return (self.out + self.roadmap.cost).min(axis=1, initial=np.inf) + self.to_go
-
     def way(self) -> Way | None:
         """The shortest way from start to goal."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
         return [self.start, *self.way_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
-
-    def way_out(self, corner: int) -> Way:
-        """The shortest way from the start to a corner."""
-        return [self.start, *self.roadmap.between(int((self.out + self.roadmap.cost[corner]).argmin()), corner)]
 
     def way_home(self, corner: int) -> Way:
         """The shortest way from a corner to the goal."""
@@ -185,71 +176,63 @@ def sequential_path(problem: Problem) -> Path | None:
         alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
         journeys = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
         found.update(zip(alike, journeys, strict=True))
-    journeys = [found[i] for i in range(len(robots))]
+    journeys, reach = [found[i] for i in range(len(robots))], _reaches(problem)
     ways = [way for journey in journeys if (way := journey.way())]
-    rows = _Sequence(journeys, ways, _reaches(problem)).rows() if len(ways) == len(robots) else None
-    return None if rows is None else np.array(rows)[..., None].view(np.float64)
+    if len(ways) < len(robots):
+        return None
+    # Where the robots stand, who waits, and who has stepped aside.
+    at = [journey.start for journey in journeys]
+    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]
 
+    def clears(i: int, way: Way, ignored: tuple[int, ...]) -> bool:
+        """Whether a way of a robot leads past the others where they stand, but for those ignored."""
+        return not any(_meets(way, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
-class _Sequence:
-    """The robots' ways, and where they stand."""
-
-    def __init__(self, journeys: list[Journey], ways: list[Way], reach: Reaches):
-        self.journeys, self.ways, self.reach = journeys, ways, reach
-        self.at = [journey.start for journey in journeys]
-        self.waiting, self.aside, self._rows = list(range(len(ways))), set(), [self.at.copy()]
-
-    def rows(self) -> list[list[complex]] | None:
-        """Have robots go home that are in nobody's way, and make way where there is none, until all are there."""
-        while self.waiting:
-            ready = next((i for i in self.waiting if self._is_ready(i, (i,))), None)
-            if ready is not None:
-                self._goes_home(ready)
-            elif not any(self._makes_way(i, j) for i, j in permutations(self.waiting, 2)):
-                return None
-        return self._rows
-
-    def _is_ready(self, i: int, ignored: tuple[int, ...]) -> bool:
+    def is_ready(i: int, *ignored: int) -> bool:
         """Whether a robot may go home: but for those ignored, nobody is in its way, and it will be in nobody's."""
-        others = [j for j in range(len(self.ways)) if j not in ignored]
-        return self._clears(i, self.ways[i], others) and not any(
-            _meets(self.ways[j], self.journeys[i].goal, self.reach[i][j]) for j in others if j in self.waiting
-        )
+        others = [j for j in waiting if j not in ignored]
+        goal = journeys[i].goal
+        return clears(i, ways[i], ignored) and not any(_meets(ways[j], goal, reach[i][j]) for j in others)
 
-    def _makes_way(self, i: int, j: int) -> bool:
+    def go(i: int, way: Way) -> None:
+        """Have a robot go a way, alone."""
+        for place in way[1:]:
+            if place != at[i]:
+                at[i] = place
+                rows.append(at.copy())
+
+    def make_way(i: int, j: int) -> bool:
         """Have a robot step aside into a corner, once, and another go home past it; whether they can."""
-        if i in self.aside or not self._is_ready(j, (i, j)):
+        if i in aside or not is_ready(j, i, j):
             return False
-        journey, reach = self.journeys[i], self.reach[i][j]
-        detours, others = journey.detours, [k for k in range(len(self.ways)) if k != i]
+        journey = journeys[i]
+        # What the shortest ways from start to goal by way of each corner cost.
+        detours = (journey.out + journey.roadmap.cost).min(axis=1, initial=np.inf) + journey.to_go
         for corner in np.argsort(detours, kind="stable").tolist():
             if detours[corner] == np.inf:
                 break
-            if _meets(self.ways[j], journey.roadmap.places[corner], reach):
+            if _meets(ways[j], journey.roadmap.places[corner], reach[i][j]):
                 continue
-            out, home = journey.way_out(corner), journey.way_home(corner)
-            if self._clears(i, out, others) and not _meets(home, self.journeys[j].goal, reach):
-                self._go(i, out)
-                self.aside.add(i)
-                self.ways[i] = home
-                self._goes_home(j)
+            first = int((journey.out + journey.roadmap.cost[corner]).argmin())
+            out, home = [journey.start, *journey.roadmap.between(first, corner)], journey.way_home(corner)
+            if clears(i, out, (i,)) and not _meets(home, journeys[j].goal, reach[i][j]):
+                go(i, out)
+                aside.add(i)
+                ways[i] = home
+                go(j, ways[j])
+                waiting.remove(j)
                 return True
         return False
 
-    def _clears(self, i: int, way: Way, others: list[int]) -> bool:
-        """Whether a way of a robot leads past others where they stand."""
-        return not any(_meets(way, self.at[j], self.reach[i][j]) for j in others)
-
-    def _goes_home(self, i: int) -> None:
-        self._go(i, self.ways[i])
-        self.waiting.remove(i)
-
-    def _go(self, i: int, way: Way) -> None:
-        """Have a robot go a way, alone."""
-        for place in way[1:]:
-            if place != self.at[i]:
-                self.at[i] = place
-                self._rows.append(self.at.copy())
+    # Have robots go home that are in nobody's way, and make way where there is none, until all are there.
+    while waiting:
+        ready = next((i for i in waiting if is_ready(i, i)), None)
+        if ready is not None:
+            go(ready, ways[ready])
+            waiting.remove(ready)
+        elif not any(make_way(i, j) for i, j in permutations(waiting, 2)):
+            return None
+    return np.array(rows)[..., None].view(np.float64)
 
 
 def _meets(way: Way, place: complex, reach: float) -> bool:
@@ -278,7 +261,8 @@ def side_by_side(problem: Problem, path: Path) -> Retimed:
     Nobody goes another way, so that the path costs as much, and takes no longer.
     """
     num = len(problem.robots)
-    reach = np.array(_reaches(problem))[np.triu_indices(num, 1)]
+    first_of, second_of = np.triu_indices(num, 1)
+    reach = np.array(_reaches(problem))[first_of, second_of]
     times, ways = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
     result, row = path[:1], 0
@@ -293,21 +277,12 @@ def side_by_side(problem: Problem, path: Path) -> Retimed:
         num_early = int(min(_DEPARTURES, np.ceil((last - first) / reach.min(initial=np.inf))))
         for depart in [*np.linspace(first, last, num_early, endpoint=False).tolist(), last]:
             times[i] = np.append(earlier, depart + since)
-            result = _in_step(times, ways)
-            if _keep_apart(result, reach):
+            # All robots on their ways, with a row wherever one of them turns, sets out or arrives.
+            when = np.unique(np.concatenate(times))
+            columns = [np.interp(when, at, way[:, k]) for at, way in zip(times, ways, strict=True) for k in (0, 1)]
+            result = np.stack(columns, axis=1).reshape(len(when), num, 2)
+            x, y = np.moveaxis(result[:, first_of] - result[:, second_of], 2, 0)
+            gaps = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))
+            if (gaps >= reach).all():
                 break
     return result
-
-
-def _in_step(times: list[Float[np.ndarray, "_"]], ways: list[Float[np.ndarray, "_ 2"]]) -> Retimed:
-    """All robots on their ways, with a row wherever one of them turns, sets out or arrives."""
-    when = np.unique(np.concatenate(times))
-    columns = [np.interp(when, at, way[:, k]) for at, way in zip(times, ways, strict=True) for k in (0, 1)]
-    return np.stack(columns, axis=1).reshape(len(when), len(ways), 2)
-
-
-def _keep_apart(path: Retimed, reach: Float[np.ndarray, "pairs"]) -> bool:
-    """Whether no two robots meet on a path."""
-    i, j = np.triu_indices(path.shape[1], 1)
-    x, y = np.moveaxis(path[:, i] - path[:, j], 2, 0)
-    return bool((distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0)) >= reach).all())

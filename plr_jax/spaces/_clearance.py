@@ -100,11 +100,6 @@ class ClearanceSpace:
         object.__setattr__(self, "motion_cost", motion_cost)
         self._clearances(domain.lo[None])  # so that a function of something else is refused at once
 
-    @property
-    def dof(self) -> int:
-        """Number of axes."""
-        return self.domain.dim
-
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether configurations are free.
 
@@ -117,7 +112,7 @@ class ClearanceSpace:
         Raises:
             ValueError: If ``q`` has another shape, or a clearance is not finite.
         """
-        q = as_points("q", q, self.dof)
+        q = as_points("q", q, self.domain.dim)
         free = self.domain.contains(q)
         free[free] = self._clearances(q[free]) >= 0
         return free
@@ -138,7 +133,7 @@ class ClearanceSpace:
             ValueError: If the shapes are others or differ, a clearance is not finite, or clearances contradict
                 ``lipschitz``.
         """
-        q0, q1 = as_motions(q0, q1, self.dof)
+        q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
         rows = np.flatnonzero(free)
         for begin in range(0, len(rows), _MOTIONS):
@@ -160,7 +155,7 @@ class ClearanceSpace:
             ValueError: If the shapes are others or differ, corners are not those of boxes, a clearance is not finite,
                 or clearances contradict ``lipschitz``.
         """
-        center, half = as_boxes(lo, hi, self.dof)
+        center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
         state = np.where(outside.any(axis=1), CellState.BLOCKED, CellState.MIXED).astype(np.int8)
@@ -177,18 +172,15 @@ class ClearanceSpace:
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
-        self._compare_with_faces(center, half, clearance)
-        reach, rounding = half @ self.lipschitz, self._rounding(clearance, center)
-        state = np.where((clearance - reach >= rounding) & ~leaves, CellState.FREE, CellState.MIXED)
-        return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
-
-    def _compare_with_faces(self, center: Configurations, half: Configurations, clearance: Numbers) -> None:
-        """Compare clearances at centers of boxes with those at the middle of a face, of each axis in turn."""
+        # Compare it with that at the middle of a face, of each axis in turn.
         row = np.arange(len(center))
-        axis, side = row % self.dof, 1 - 2 * (row // self.dof % 2)
+        axis, side = row % self.domain.dim, 1 - 2 * (row // self.domain.dim % 2)
         face = center.copy()
         face[row, axis] += side * half[row, axis]
         self._require_consistent(center, clearance, face, self._clearances(face))
+        reach, rounding = half @ self.lipschitz, self._rounding(clearance, center)
+        state = np.where((clearance - reach >= rounding) & ~leaves, CellState.FREE, CellState.MIXED)
+        return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
         """Whether motions are proven free, in intervals that are bisected until each is, or is too short.

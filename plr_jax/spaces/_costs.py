@@ -27,11 +27,6 @@ def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], 
         raise ValueError(f"{expected}, got {what} {where}.")
 
 
-def _radii(lo: Vectors, hi: Vectors, rounding: float) -> Rates:
-    """How far points of boxes are from their centers at most, if these are rounded to some precision."""
-    return np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
-
-
 _LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
 _LEAST_MARGIN = 0.02  # of the upper bound, which must be left of the least where pulls are against it
 
@@ -155,7 +150,9 @@ class LipschitzCost:
             What the factor at the center, and the constant, allow.
         """
         middle, rounding = self._factors((lo + hi) / 2)
-        reach = self.lipschitz * _radii(lo, hi, rounding)
+        # How far points of boxes are from their centers at most, if these are rounded.
+        radius = np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
+        reach = self.lipschitz * radius
         return np.maximum((1 - rounding) * middle - reach, self.least), (1 + rounding) * middle + reach
 
 
@@ -176,22 +173,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
         return lower, upper, None
     if [weight for _, weight in motion.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
-    first, second, least, most = _checked_pulls(cost_map.pulls(lo, hi), lo, hi)
-    use = (least > _LEAST_SHARE * most) & (least - _distance_to_segments(first, second) > _LEAST_MARGIN * most)
-    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
-    return np.where(use, least, lower), np.where(use, most, upper), pulls
-
-
-def _distance_to_segments(first: Vectors, second: Vectors) -> Rates:
-    """How far the segments between vectors are from 0."""
-    change = second - first
-    square = np.sum(change * change, axis=1)
-    share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
-    return np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
-
-
-def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
-    """Pulls over boxes as arrays; ``ValueError`` if they are none."""
+    pulls = cost_map.pulls(lo, hi)
     if not isinstance(pulls, Sequence) or len(pulls) != 4:
         expected = "two arrays of vectors and two of numbers"
         raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pulls)}.")
@@ -203,7 +185,14 @@ def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Ve
             raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
     expected = "Bounds of a DirectionalCost's pulls must be finite, the least nowhere above the most"
     _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
-    return first, second, least, most
+    # How far the segments between the two vectors are from 0.
+    change = second - first
+    square = np.sum(change * change, axis=1)
+    share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
+    size = np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
+    use = (least > _LEAST_SHARE * most) & (least - size > _LEAST_MARGIN * most)
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return np.where(use, least, lower), np.where(use, most, upper), pulls
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
