@@ -296,28 +296,6 @@ def test_the_heading_of_a_rectangle_counts(of_team):
     assert np.ptp(terms[:, 1]) > 1.5  # which the leading two coordinates say nothing of
 
 
-def test_headings_outside_the_domain_are_wrapped(of_team):
-    headings = np.linspace(-3.1, 3.1, 23)
-    heuristic = sum_of_distances(of_team)
-    inside = heuristic.per_robot(joint((1.3, 2.1), headings))
-    for turns in (-3, -1, 1, 2):
-        outside = heuristic.per_robot(joint((1.3, 2.1), headings + turns * FULL))
-        np.testing.assert_allclose(outside, inside, atol=1e-4)
-    assert np.isfinite(inside).all()
-
-
-def test_a_stack_of_positions_and_headings_equals_each_alone(of_team):
-    q = np.random.default_rng(0).uniform((0, 0, -9), (4, 4, 9), (300, 2, 3))
-    stacked = sum_of_distances(of_team).per_robot(q)
-    # Others than PLRs are called one by one.
-    alone = [lambda x, fn=fn: np.asarray(fn(x)) for fn in of_team]
-    alone[0].dim, alone[1].dim = 2, 3
-    np.testing.assert_array_equal(sum_of_distances(alone).per_robot(q), stacked)
-    # A disc's heading is ignored.
-    q[:, 0, 2] += 1.0
-    np.testing.assert_array_equal(sum_of_distances(of_team).per_robot(q), stacked)
-
-
 def test_a_mixed_team_is_planned_for(of_team):
     solution = bl_plan(TEAM, sum_of_distances(of_team))
     assert solution.status is Status.SOLVED and validate(TEAM, solution.path).valid

@@ -271,26 +271,6 @@ def random_boxes(seed):
 
 
 @pytest.mark.parametrize(
-    "problem",
-    [MIXED, scenes.four_rooms(4), scenes.door(6), *NUDGED.values()],
-    ids=["mixed", "rooms", "door", *NUDGED],
-)
-def test_motions_of_all_robots_at_once_are_those_of_each(problem):
-    joint = joint_lattice_of(problem, 0.5)
-    rng = np.random.default_rng(0)
-    for kind in joint.kinds:
-        for _ in range(40):
-            # Near the ends, where motions differ from robot to robot.
-            around = np.unique(kind.child[kind.ends.node.ravel()])
-            node = np.array([rng.choice([*around, *kind.ends.node[row]]) for row in range(len(kind.members))])
-            node = np.where(node >= kind.num_cells, kind.ends.node[:, 0], node)
-            child, cost = kind.motions(node)
-            for row, i in enumerate(kind.members.tolist()):
-                np.testing.assert_array_equal(child[row], joint.lattices[i].child[node[row]])
-                np.testing.assert_array_equal(cost[row], joint.lattices[i].cost[node[row]])
-
-
-@pytest.mark.parametrize(
     ("problem", "step"),
     [(MIXED, 0.9), (MIXED, 1.5), *((problem, 1.0) for problem in NUDGED.values())],
     ids=["0.9", "1.5", *NUDGED],
@@ -351,31 +331,3 @@ def test_costs_to_come_mirror_costs_to_go():
         rows, cells = np.arange(len(kind.members)), slice(kind.num_cells)
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("problem", "step"),
-    [(MIXED, 0.5), (MIXED, 1.1), *((problem, 1.0) for problem in NUDGED.values())],
-    ids=["0.5", "1.1", *NUDGED],
-)
-def test_edges_into_a_node_are_the_motions_of_each_robot(problem, step):
-    joint = joint_lattice_of(problem, step)
-    for kind in joint.kinds:
-        for row, i in enumerate(kind.members.tolist()):
-            lattice, into = joint.lattices[i], kind.into_nodes(row)
-            cells = set(lattice.kind.ends.cell[lattice.row].tolist())
-            others = set(kind.ends.node.ravel().tolist()) - {lattice.start, lattice.goal}
-            found = {
-                (int(kind.begin[edge]), node, float(kind.edge_cost[edge]))
-                for node in range(len(lattice.q))
-                for edge in into[:, node]
-                if edge != kind.num_edges
-            }
-            assert not cells & {end for _, end, _ in found}
-            begin, primitive = np.nonzero(np.isfinite(lattice.cost))
-            expected = {
-                (int(b), int(lattice.child[b, p]), float(lattice.cost[b, p]))
-                for b, p in zip(begin, primitive, strict=True)
-            }
-            visited = {edge for edge in expected if not {edge[0], edge[1]} & (cells | others)}
-            assert {edge for edge in found if not {edge[0], edge[1]} & (cells | others)} == visited

@@ -101,22 +101,6 @@ def test_after_the_deadline_paths_stay_as_they_are():
 
 
 @pytest.mark.parametrize("name", TEAMS)
-def test_collisions_are_those_of_each_two_motions(name):
-    (_, table), rng = table_of(name), np.random.default_rng(0)
-    for a, ours in enumerate(table.kinds):
-        for b, others in enumerate(table.kinds):
-            edges = rng.integers(ours.num_edges, size=5)
-            every = np.arange(others.num_edges)
-            for edge, found in zip(edges.tolist(), table.collisions(a, edges, b), strict=True):
-                q0, q1 = (ours.q[[node[edge]] * len(every)] for node in (ours.begin, ours.end))
-                p0, p1 = (others.q[node[every]] for node in (others.begin, others.end))
-                free = motions_apart(
-                    ours.robot, q0, q1, others.robot, p0, p1, table.joint.problem.workspace.tolerance
-                )
-                assert sorted(found.tolist()) == np.flatnonzero(~free).tolist()
-
-
-@pytest.mark.parametrize("name", TEAMS)
 def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
     joint, table = table_of(name)
     rng, costs = np.random.default_rng(0), [table.cost.sum()]
