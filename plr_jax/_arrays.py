@@ -268,13 +268,6 @@ def shortened(value: object) -> str:
 # Ends of time limits, on the clock of ``time.perf_counter``.
 
 
-def deadline_after(time_limit: object) -> float:
-    """The end of so many seconds, ``inf`` for no end."""
-    return time.perf_counter() + as_number(
-        "time_limit", time_limit, "a positive number or inf", lambda number: number > 0
-    )
-
-
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
     """Raise ``TimeoutError`` if so many seconds are not left before a deadline.
 

@@ -141,38 +141,31 @@ def test_contacts_are_for_squeezing():
         assert np.isfinite(oracle(np.array([[1.5, 1.5]])))[0] == squeeze
 
 
-@pytest.mark.parametrize(
-    ("free", "message"),
-    [
-        (np.ones((3, 3)), r"booleans of shape \(rows, columns\), such as picture > 127, got float64"),
-        (np.ones(3, bool), r"got bool of shape \(3,\)"),
-        (np.ma.masked_equal(np.eye(3) > 0, True), "some masked"),
-        (np.zeros((3, 4), bool), "No pixel of 3 x 4 is free"),
-        (np.zeros((0, 4), bool), "No pixel of 0 x 4 is free"),
-        (np.indices((700, 700)).sum(axis=0) % 2 == 0, "corners, at most 262,144 are read"),
-    ],
-)
-def test_what_is_no_mask_is_refused(free, message, unchecked_types):
-    with pytest.raises(ValueError, match=message):
-        Workspace.from_mask(free)
+EYE = np.eye(3) > 0
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("free", "options", "message"),
     [
-        ({"drop_specks": 9}, "No pixel"),
-        ({"drop_specks": 0.5}, "drop_specks must be an integer"),
-        ({"resolution": 0}, "resolution must be a positive"),
-        ({"resolution": 1e-300}, "longer side is at least 1e-100, .* choose a smaller unit"),
-        ({"resolution": 1e307}, r"go to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
-        ({"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
-        ({"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
-        ({"tolerance": -1}, "tolerance must be"),
-        ({"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
-        ({"origin": 3}, "origin must be"),
-        ({"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
+        (np.ones((3, 3)), {}, r"booleans of shape \(rows, columns\), such as picture > 127, got float64"),
+        (np.ones(3, bool), {}, r"got bool of shape \(3,\)"),
+        (np.ma.masked_equal(np.eye(3) > 0, True), {}, "some masked"),
+        (np.zeros((3, 4), bool), {}, "No pixel of 3 x 4 is free"),
+        (np.zeros((0, 4), bool), {}, "No pixel of 0 x 4 is free"),
+        (np.indices((700, 700)).sum(axis=0) % 2 == 0, {}, "corners, at most 262,144 are read"),
+        (EYE, {"drop_specks": 9}, "No pixel"),
+        (EYE, {"drop_specks": 0.5}, "drop_specks must be an integer"),
+        (EYE, {"resolution": 0}, "resolution must be a positive"),
+        (EYE, {"resolution": 1e-300}, "longer side is at least 1e-100, .* choose a smaller unit"),
+        (EYE, {"resolution": 1e307}, r"go to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
+        (EYE, {"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
+        (EYE, {"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
+        (EYE, {"tolerance": -1}, "tolerance must be"),
+        (EYE, {"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
+        (EYE, {"origin": 3}, "origin must be"),
+        (EYE, {"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
     ],
 )
-def test_bad_options_are_refused(options, message, unchecked_types):
+def test_what_is_no_mask_and_bad_options_are_refused(free, options, message, unchecked_types):
     with pytest.raises(ValueError, match=message):
-        Workspace.from_mask(np.eye(3) > 0, **options)
+        Workspace.from_mask(free, **options)
