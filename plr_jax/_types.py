@@ -148,19 +148,6 @@ class ChangingFn(CellwiseFn, Protocol):
 
 
 @runtime_checkable
-class CellGraph(Protocol):
-    """The cells of a grid, ``(rows, columns)`` and true where free, with steps to 4 neighbors or to 8.
-
-    Diagonal steps cut no corners: both cells beside them are free.
-    """
-
-    @property
-    def free(self) -> Bool[np.ndarray, "rows columns"]: ...
-    @property
-    def connectivity(self) -> int: ...
-
-
-@runtime_checkable
 class FreeSpaceFn(Protocol):
     """A distance function that says which points are free, so that those can be told that do not reach the goal."""
 

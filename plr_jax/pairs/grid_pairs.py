@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
-from plr_jax._types import ArrayLike, CellGraph
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_corners import DIAGONAL, FAR, STRAIGHT, CornerTable
 from plr_jax.pairs.grid_query import (
@@ -369,7 +369,7 @@ class GridPairs:
         return GridPairs(tables_of(*decode_grid(data)), np.frombuffer(data, np.uint8))
 
 
-def construct_grid_pairs(graph: CellGraph | ArrayLike) -> GridPairs:
+def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
     """Distances between all pairs of cells of a grid.
 
     Of two million cells of a game's map that takes some seconds, and a gigabyte; most of it goes with the number of
@@ -390,9 +390,9 @@ def construct_grid_pairs(graph: CellGraph | ArrayLike) -> GridPairs:
     References:
         See ``plr_jax/pairs/GRIDS.md``.
     """
-    if not isinstance(graph, CellGraph):
-        from plr_jax.oracles import GridGraph  # and with it Shapely, which queries need not
+    from plr_jax.oracles import GridGraph  # and with it Shapely, which queries need not
 
+    if not isinstance(graph, GridGraph):
         try:
             graph = GridGraph(graph)
         except ValueError as error:
