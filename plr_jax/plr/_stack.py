@@ -1,6 +1,6 @@
 """PLRs as functions: one of a point, many of an index and a point."""
 
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import mixed, padded, padded_size, shortened, size_in_eighths
+from plr_jax._arrays import mixed, padded, shortened, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.frame import (
@@ -49,8 +49,7 @@ from plr_jax.plr.tree import Cells
 
 _FIRST_BITS = 10  # of a first page: those of a thousand PLRs take 4 MB, and others are seldom read
 _PAGE_BITS = 6  # of others, at the most
-_MOST_DEPTH = FRACTION_BITS - _PAGE_BITS  # along an axis, so that no bits of a place belong farther left in an index
-_MOST_ENTRIES = 2**22  # of one PLR, at the most, before leaves that share pages are seen to
+_MOST_ENTRIES = 2**25  # of one PLR, at the most, before leaves that share pages are seen to
 _MOST_INDICES = 2**31  # an entry has one bit for other things
 
 
@@ -63,25 +62,28 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
     return ends
 
 
-def can_be_in_trie(cells: Cells, levels: Sequence[Int[np.ndarray, "dim"]]) -> bool:
-    """Whether a partition is shallow enough, and its pages few."""
-    if cells.depth.max() > _MOST_DEPTH:
-        return False
-    most = 0.0
-    for begin, end in pairwise(levels):
-        pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
-        most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (end - begin).sum()
-    return bool(most <= _MOST_ENTRIES)
-
-
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """The trie of several partitions that can be in one, of which each leaf's numbers are in a given row."""
+    """The trie of several partitions, of which each leaf's numbers are in a given row.
+
+    Raises ``ValueError`` if one is too deep or has too many pages, or all of them together are too large.
+    """
+    # Mask and shift that make an index into a page of the bits of a point's place between two levels.
+    ends = np.array(levels)
+    steps = np.diff(ends, axis=0)
+    shifts = FRACTION_BITS - ends[1:] - (np.cumsum(steps[:, ::-1], axis=1)[:, ::-1] - steps)
+    bits = np.stack([((1 << steps) - 1) << (FRACTION_BITS - ends[1:]), shifts], axis=1)
     num_rows = 1 + max(int(of_leaf.max()) for of_leaf in rows)
     end = num_rows + len(partitions) * (1 << int(levels[1].sum()))
     first_pages, others = [], []
     for cells, of_leaf in zip(partitions, rows, strict=True):
+        most = 0.0
+        for begin, behind in pairwise(levels):
+            pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
+            most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
+        if most > _MOST_ENTRIES or (shifts < 0).any():  # no bits of a place belong farther left in an index
+            raise ValueError("A PLR has leaves too deep for a stack. Lower max_depth, or call it by itself.")
         for number, pages in enumerate(_pages(cells, of_leaf, levels, end)):
             if number == 0:
                 first_pages.append(pages)
@@ -91,9 +93,8 @@ def build_trie(
     if end >= _MOST_INDICES:
         raise ValueError(f"{len(partitions):,} PLRs have tables too large for one stack; make several of fewer PLRs.")
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
-    bits = np.stack([_bits_of_level(begin, end) for begin, end in pairwise(levels)]).astype(np.uint32)
     entries = padded(entries, size_in_eighths(len(entries)))
-    return Trie(jnp.asarray(entries), jnp.asarray(bits), jnp.asarray(np.uint32(num_rows)))
+    return Trie(jnp.asarray(entries), jnp.asarray(bits.astype(np.uint32)), jnp.asarray(np.uint32(num_rows)))
 
 
 def _pages(
@@ -130,115 +131,70 @@ def _in_pages(
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
-def _bits_of_level(begin: Int[np.ndarray, "dim"], end: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "2 dim"]:
-    """Mask and shift that make an index into a page of the bits of a point's place between two levels."""
-    step = end - begin
-    mask = ((1 << step) - 1) << (FRACTION_BITS - end)
-    return np.stack([mask, FRACTION_BITS - end - (np.cumsum(step[::-1])[::-1] - step)])
-
-
-_MOST_NUMBERS = 1 << 32  # of an array of all PLRs: indices are 32-bit
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """One array of several tables.
-
-    Attributes:
-        flat: The array if it is the same for all; else theirs, one behind the other.
-        shape: Of one of them.
-        first: Where each begins, if they differ in length; else they are as long as ``shape`` says.
-        is_shared: Whether it is the same for all.
-    """
-
-    flat: Array
-    first: UInt32[Array, "tables"] | None
-    shape: tuple[int, ...] = field(metadata={"static": True})
-    is_shared: bool = field(metadata={"static": True})
-
-    @staticmethod
-    def of(arrays: Sequence[np.ndarray]) -> "_Column":
-        """That of arrays of one type and number of axes; those of one axis may differ in length."""
-        sizes = [each.size for each in arrays]
-        if sum(sizes) >= _MOST_NUMBERS:
-            raise ValueError(f"{len(arrays):,} PLRs have tables too large for one stack; make several of fewer PLRs.")
-        if all(np.array_equal(arrays[0], each) for each in arrays[1:]):
-            return _Column(jnp.asarray(arrays[0]), None, arrays[0].shape, True)
-        flat = np.concatenate([each.ravel() for each in arrays])
-        if len(set(sizes)) == 1:
-            return _Column(jnp.asarray(flat), None, arrays[0].shape, False)
-        first = np.cumsum([0, *sizes[:-1]]).astype(np.uint32)
-        return _Column(jnp.asarray(padded(flat, padded_size(len(flat)))), jnp.asarray(first), (max(sizes),), False)
-
-    def pick(self, which: UInt32[Array, "*batch"]) -> "Array | Picked":
-        """The array of each point's tables."""
-        if self.is_shared:
-            return self.flat
-        start = which * np.uint32(prod(self.shape)) if self.first is None else self.first[which]
-        return Picked(self.flat, self.shape, start, self.flat.dtype)
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Alike:
-    """PLRs whose tables have one structure, array by array; in ``common`` is what they have in a trie instead."""
-
-    columns: tuple[_Column, ...]
-    common: "_InTrie | None"
-    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
-
-    @staticmethod
-    def of(tables: Sequence[Tables], common: "_InTrie | None") -> "_Alike":
-        """Those of some tables."""
-        structure = jax.tree_util.tree_structure(tables[0])
-        arrays = [[np.asarray(array) for array in jax.tree_util.tree_leaves(each)] for each in tables]
-        return _Alike(tuple(_Column.of(column) for column in zip(*arrays, strict=True)), common, structure)
-
-    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """The tables of each point's PLR."""
-        tables = jax.tree_util.tree_unflatten(self.structure, [column.pick(which) for column in self.columns])
-        if self.common is None:
-            return tables
-        trie = self.common.trie.of(which, self.common.first_bits)
-        return replace(tables, trie=trie, numbers=self.common.numbers)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class _InTrie:
-    """The leaves of several PLRs.
+    """PLRs whose domains and foldings have arrays of one structure.
 
     Attributes:
-        trie: The rows of their numbers.
+        arrays: Each array of the tables' structure, if it is the same for all; else those of all PLRs, side by side.
+        trie: The rows of the numbers of their leaves.
         numbers: One row a number, or a leaf's side by side, as in :class:`Tables`; leaves with the same share them.
+        shapes: Of each array of one PLR; None if it is the same for all.
+        structure: That of tables without leaves.
         first_bits: How many bits of a place the first level of the trie takes.
     """
 
+    arrays: tuple[Array, ...]
     trie: Trie
     numbers: Float[Array, "count rows"] | Float[Array, "numbers"]
+    shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})
+    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
     first_bits: int = field(metadata={"static": True})
 
     @staticmethod
-    def of(
-        partitions: Sequence[Cells],
-        numbers: Sequence[Float[np.ndarray, "_ count"]],
-        levels: Sequence[Int[np.ndarray, "dim"]],
-    ) -> "_InTrie":
-        """Those of PLRs of some cells and numbers."""
+    def of(plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_Alike":
+        """That of PLRs, given their tables, and these without leaves."""
+        # 1. What tells their domains and foldings apart.
+        columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
+        arrays, shapes = [], []
+        for column in (list(map(np.asarray, column)) for column in columns):
+            is_shared = all(np.array_equal(column[0], each) for each in column[1:])
+            arrays.append(jnp.asarray(column[0] if is_shared else np.stack(column).ravel()))
+            shapes.append(None if is_shared else column[0].shape)
+        # 2. The numbers of leaves: the first of all rows that are bit for bit alike, and which of these each is like.
         rows, distinct, num_rows = [], [], 0
-        for of_leaves in numbers:
-            # The first of all rows that are bit for bit alike, and which of these each row is like.
-            key = np.zeros(len(of_leaves), np.uint64)
-            for column in np.ascontiguousarray(of_leaves.T).view(np.uint32):
+        for plr, each in zip(plrs, tables, strict=True):
+            # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
+            count, numbers = each.leaf.num_numbers(each.dim), np.asarray(each.numbers)
+            of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
+            key = np.zeros(plr.num_leaves, np.uint64)
+            for column in np.ascontiguousarray(of_leaves).view(np.uint32):
                 key = mixed(key + column + np.uint64(1))
             _, first, row = np.unique(key, return_index=True, return_inverse=True)
             rows.append(num_rows + row)
-            distinct.append(of_leaves[first])
+            distinct.append(of_leaves.T[first])
             num_rows += len(first)
         table = np.concatenate(distinct)
         table = padded(table, size_in_eighths(len(table)))
-        return _InTrie(build_trie(partitions, rows, levels), jnp.asarray(laid_out(table)), int(levels[1].sum()))
+        # 3. The way from a place to a row.
+        levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
+        trie, structure = (
+            build_trie([plr.cells for plr in plrs], rows, levels),
+            jax.tree_util.tree_structure(frames[0]),
+        )
+        first_bits = int(levels[1].sum())
+        return _Alike(tuple(arrays), trie, jnp.asarray(laid_out(table)), tuple(shapes), structure, first_bits)
+
+    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
+        """The tables of each point's PLR."""
+        picked = [
+            array if shape is None else Picked(array, shape, which * np.uint32(prod(shape)), array.dtype)
+            for array, shape in zip(self.arrays, self.shapes, strict=True)
+        ]
+        tables = jax.tree_util.tree_unflatten(self.structure, picked)
+        trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
+        return replace(tables, trie=trie, numbers=self.numbers)
 
 
 @jax.tree_util.register_dataclass
@@ -333,58 +289,30 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     # In a domain that is far from the origin, points are counted from its corner.
     tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
-    places: list[tuple[int, int]] = [(0, 0)] * len(plrs)
+    # Tables without all that tells leaves apart, but for how many numbers each has, in groups of one structure.
+    kinds: dict[Hashable, list[int]] = {}
+    frames = [
+        replace(
+            each,
+            bits=jnp.zeros_like(each.bits),
+            blocks=None,
+            pages=None,
+            leaf_of_slot=jnp.zeros(0, np.uint16),
+            numbers=jnp.zeros((each.leaf.num_numbers(each.dim), 0), np.float32),
+        )
+        for each in tables
+    ]
+    for i, frame in enumerate(frames):
+        kinds.setdefault(jax.tree_util.tree_structure(frame), []).append(i)
+    group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []
-    for members, alike in _groups(plrs, tables):
-        for place, number in enumerate(members):
-            places[number] = len(groups), place
-        groups.append(alike)
-    group, place = np.array(places, np.uint32).T
+    for members in kinds.values():
+        group[members], place[members] = len(groups), np.arange(len(members))
+        groups.append(_Alike.of(*([each[i] for i in members] for each in (plrs, tables, frames))))
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
     parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
     arrays = jnp.asarray(group), jnp.asarray(place), parts
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
-
-
-def _groups(plrs: Sequence[PLR], tables: Sequence[Tables]) -> Iterator[tuple[list[int], _Alike]]:
-    """PLRs, by number, in groups of such as are alike: in a trie where they can be, else with tables of their own."""
-    frames = {i: _without_leaves(each) for i, each in enumerate(tables) if each.numbers.ndim == 2}
-    apart = set(range(len(plrs))) - set(frames)
-    for members in _kinds(frames):
-        levels = trie_levels(np.max([plrs[i].cells.depth.max(axis=0) for i in members], axis=0))
-        inside = [i for i in members if can_be_in_trie(plrs[i].cells, levels)]
-        apart |= set(members) - set(inside)
-        if inside:
-            # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
-            numbers = [np.asarray(tables[i].numbers)[:, : plrs[i].num_leaves].T for i in inside]
-            in_trie = _InTrie.of([plrs[i].cells for i in inside], numbers, levels)
-            yield inside, _Alike.of([frames[i] for i in inside], in_trie)
-    own = {i: _side_by_side(tables[i]) for i in sorted(apart)}
-    for members in _kinds(own):
-        yield members, _Alike.of([own[i] for i in members], None)
-
-
-def _kinds(tables: dict[int, Tables]) -> Iterable[list[int]]:
-    """Tables, by number, in groups of one structure."""
-    kinds: dict[Hashable, list[int]] = {}
-    for i, of_plr in tables.items():
-        arrays, structure = jax.tree_util.tree_flatten(of_plr)
-        kind = structure, tuple((array.ndim, array.shape[1:], str(array.dtype)) for array in arrays)
-        kinds.setdefault(kind, []).append(i)
-    return kinds.values()
-
-
-def _without_leaves(tables: Tables) -> Tables:
-    """The same without all that tells leaves apart, but for how many numbers each has."""
-    bits, slots, numbers = jnp.zeros_like(tables.bits), tables.leaf_of_slot[:0], tables.numbers[:, :0]
-    return replace(tables, bits=bits, blocks=None, pages=None, leaf_of_slot=slots, numbers=numbers)
-
-
-def _side_by_side(tables: Tables) -> Tables:
-    """The same with what is read of a leaf side by side: of many PLRs, each array read is waited for."""
-    if tables.numbers.ndim == 1:
-        return tables
-    return replace(tables, numbers=jnp.asarray(np.asarray(tables.numbers).T.ravel()))
 
 
 @partial(jax.jit, static_argnames="outside")

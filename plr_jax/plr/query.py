@@ -1,7 +1,7 @@
 """A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
 
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 import jax
@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.frame import Frame, Outside, require_resolved
-from plr_jax.plr.tables import FoldedWindow, Picked, Tables, Trie, gather, index_in_block, rounded, shift_right
+from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
+from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie, gather, moved, rounded, shift_right
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 _ENDS_IN_DOUBLE = 2.0**-44
@@ -54,20 +54,14 @@ def bounds_of_tables(
     else:
         leaf = lookup(tables, jax.lax.stop_gradient(x.astype(value.dtype)))
         below, above = gather(band[0], leaf), gather(band[1], leaf)
-    lower = _next_number(value + below.astype(value.dtype), -jnp.inf)
-    upper = _next_number(value + above.astype(value.dtype), jnp.inf)
+    lower, upper = (
+        moved(bound, jnp.nextafter(jax.lax.stop_gradient(bound), jnp.asarray(toward, value.dtype)))
+        for bound, toward in (
+            (value + below.astype(value.dtype), -jnp.inf),
+            (value + above.astype(value.dtype), jnp.inf),
+        )
+    )
     return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _next_number(value: Float[Array, "*batch"], toward: float) -> Float[Array, "*batch"]:
-    """The next number in that direction, which has the slope of the value."""
-    return jnp.nextafter(value, jnp.asarray(toward, value.dtype))
-
-
-@_next_number.defjvp
-def _next_number_with_tangent(toward, primals, tangents):
-    return _next_number(primals[0], toward), tangents[0]
 
 
 def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
@@ -106,8 +100,26 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
         word = gather(tables.pages.words, index)
         return shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
     if tables.blocks is not None:
-        index = index_in_block(tables.blocks, places, index)
+        index = _index_in_block(tables.blocks, places, index)
     return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
+
+
+def _index_in_block(
+    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+) -> UInt32[Array, "*batch"]:
+    """Index into ``leaf_of_slot`` of points in given blocks."""
+    index = start = jnp.zeros_like(block)
+    axis = 0
+    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
+        word = gather(table, block)
+        for slot in range(axes):
+            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
+            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
+            index = (index << bits) | shift_right(within, blocks.shift[axis] - bits)
+            axis += 1
+        if number == 0:
+            start = word >> np.uint32(axes * blocks.width)
+    return start + index
 
 
 def outside_domain(
@@ -172,7 +184,7 @@ def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*ba
         return x
     along = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
     for axis in tables.periodic:
-        along[axis] = _moved(along[axis], _between_ends(tables, jax.lax.stop_gradient(along[axis]), axis))
+        along[axis] = moved(along[axis], _between_ends(tables, jax.lax.stop_gradient(along[axis]), axis))
     return jnp.stack(along, axis=-1)
 
 
@@ -188,17 +200,6 @@ def _between_ends(tables: Tables, x: Float[Array, "*batch"], axis: int) -> Float
     is_end = jnp.abs(x - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
     inside = jnp.where(is_end, lo, jnp.clip(x - rounded(turns * (hi - lo)), lo, hi))
     return jnp.where(jnp.isfinite(x), inside, x)
-
-
-@jax.custom_jvp
-def _moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Where coordinates move to, as they do."""
-    return to
-
-
-@_moved.defjvp
-def _moved_with_tangent(primals, tangents):
-    return primals[1], tangents[0]
 
 
 def _value(
@@ -294,7 +295,7 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
 
 
 def _joined_bits(
-    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"] | Picked, right: UInt32[Array, "dim"] | Picked
+    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
     return reduce(jnp.bitwise_or, [shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)])

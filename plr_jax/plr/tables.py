@@ -24,7 +24,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import prod
-from typing import Any, NamedTuple
+from operator import ge
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -73,10 +74,6 @@ class Trie:
     bits: UInt32[Array, "levels 2 dim"]
     start: UInt32[Array, "*batch"]
 
-    def of(self, which: UInt32[Array, "*batch"], first_bits: int) -> "Trie":
-        """The same for points of given PLRs."""
-        return Trie(self.entries, self.bits, self.start + (which << np.uint32(first_bits)))
-
 
 @dataclass(frozen=True, eq=False)
 class Picked:
@@ -96,11 +93,6 @@ class Picked:
     start: UInt32[Array, "*batch"]
     dtype: Any
 
-    @property
-    def ndim(self) -> int:
-        """Number of axes of one of them."""
-        return len(self.shape)
-
     def astype(self, dtype: Any) -> "Picked":
         """The same, of numbers of another type."""
         return replace(self, dtype=dtype)
@@ -116,17 +108,11 @@ class Picked:
         inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
         if rest:
             return inner[tuple(rest)]
-        return inner if inner.shape else inner.read(np.uint32(0))
-
-    def read(self, index: Any) -> Array:
-        """The number at an index of each point's array, which has one axis or none."""
-        return self.flat.at[self.start + index].get(mode="promise_in_bounds").astype(self.dtype)
+        return inner if inner.shape else gather(self.flat, inner.start).astype(self.dtype)
 
 
-def gather(table: Integer[Array, "n"] | Float[Array, "n"] | Picked, index: UInt32[Array, "*batch"]):
+def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
     """Entries of a table at indices that it has."""
-    if isinstance(table, Picked):
-        return table.read(index)
     return table.at[index].get(mode="promise_in_bounds")
 
 
@@ -136,14 +122,20 @@ def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UIn
 
 
 @jax.custom_jvp
+def moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """What numbers become that computing moves a little, or by whole periods; differentiated as if they stayed."""
+    return to
+
+
+@moved.defjvp
+def _moved_with_tangent(primals, tangents):
+    return primals[1], tangents[0]
+
+
 def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
-    return jnp.where(value == value, value, jnp.nan)
-
-
-@rounded.defjvp
-def _rounded_with_tangent(primals, tangents):
-    return rounded(primals[0]), tangents[0]
+    constant = jax.lax.stop_gradient(value)
+    return moved(value, jnp.where(constant == constant, constant, jnp.nan))
 
 
 @jax.tree_util.register_dataclass
@@ -182,7 +174,7 @@ class FoldedWindow:
             corners=jnp.asarray(corners),
             axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
             mirrors=mirrored_axes(folding),
-            periodic=tuple(map(int, np.flatnonzero(folding.domain.periodic))),
+            periodic=tuple(np.flatnonzero(folding.domain.periodic).tolist()),
         )
 
     def __call__(self, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch dim"]:
@@ -200,22 +192,12 @@ class FoldedWindow:
             for axis in reversed_axes:
                 z[axis] = jnp.where(is_behind, -z[axis], z[axis])
         lo, hi = self.corners.astype(x.dtype)
-        columns = [_clipped(z[axis], lo[axis], hi[axis]) for axis in range(self.dim)]
+        # Only rounding puts coordinates outside.
+        columns = [
+            moved(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in range(self.dim)
+        ]
         # Computed once: a compiler would repeat all this wherever a coordinate is read.
         return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
-
-
-@jax.custom_jvp
-def _clipped(
-    z: Float[Array, "*batch"], lo: Float[Array, "*#batch"], hi: Float[Array, "*#batch"]
-) -> Float[Array, "*batch"]:
-    """Coordinates that only rounding puts outside, moved inside; differentiated as if they were not moved."""
-    return jnp.clip(z, lo, hi)
-
-
-@_clipped.defjvp
-def _clipped_with_tangent(primals, tangents):
-    return _clipped(*primals), tangents[0]
 
 
 # Two-level tables of any size: each coarse block has a little table of its own, just as fine as its leaves need.
@@ -235,8 +217,8 @@ class Blocks:
     Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
     """
 
-    words: tuple[UInt32[Array, "blocks"] | Picked, ...]
-    shift: UInt32[Array, "dim"] | Picked
+    words: tuple[UInt32[Array, "blocks"], ...]
+    shift: UInt32[Array, "dim"]
     axes: tuple[int, ...] = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
 
@@ -300,24 +282,6 @@ def leaves_of_slots(
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
 
 
-def index_in_block(
-    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
-) -> UInt32[Array, "*batch"]:
-    """Index into ``leaf_of_slot`` of points in given blocks."""
-    index = start = jnp.zeros_like(block)
-    axis = 0
-    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = gather(table, block)
-        for slot in range(axes):
-            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
-            index = (index << bits) | shift_right(within, blocks.shift[axis] - bits)
-            axis += 1
-        if number == 0:
-            start = word >> np.uint32(axes * blocks.width)
-    return start + index
-
-
 # Pages: two-level tables of small PLRs with deep trees, which cost a query no more reads than a flat table.
 #
 # The first slots are the leaves themselves, one each. A coarse block that one leaf covers has that leaf's slot; most
@@ -345,20 +309,17 @@ class Pages:
             belong in the index, and at which bit of a word its start is (the same for all axes).
     """
 
-    words: UInt32[Array, "blocks"] | Picked
-    bits: UInt32[Array, "3 dim"] | Picked
+    words: UInt32[Array, "blocks"]
+    bits: UInt32[Array, "3 dim"]
 
 
-class PagedLeaves(NamedTuple):
-    """A partition's pages, the bits of its blocks along each axis, and the leaf of every slot."""
+def build_pages(
+    cells: Cells, most_slots: int
+) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
+    """Pages on the coarsest blocks with which so many slots suffice; None if there are none.
 
-    pages: Pages
-    block_bits: Int[np.ndarray, "dim"]
-    leaf_of_slot: Int[np.ndarray, "slots"]
-
-
-def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
-    """Pages on the coarsest blocks with which so many slots suffice; None if there are none."""
+    With them the bits of blocks along each axis, and the leaf of every slot.
+    """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
         block_bits = spread_bits(bits, most_bits)
@@ -366,19 +327,39 @@ def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
             break  # finer blocks meet more leaves
         # Words have room for a mask of a page and a start, and no bits of a place belong farther left.
         page_bits = bits - block_bits
-        if page_bits.sum() + most_slots.bit_length() > WORD_BITS or (_right_of_place(bits, page_bits) < 0).any():
+        below = np.cumsum(page_bits[::-1])[::-1] - page_bits  # of all later axes, in an index
+        right_of_place = FRACTION_BITS - bits - below
+        if page_bits.sum() + most_slots.bit_length() > WORD_BITS or (right_of_place < 0).any():
             continue
         shape = block_shapes(cells, block_bits)
         if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > most_slots:
             continue
-        start, num_slots = _place_pages(shape, bits - block_bits, len(cells))
+        start, num_slots = _place_pages(shape, page_bits, below, len(cells))
         if num_slots <= most_slots:
-            return _fill_pages(cells, block_bits, shape, start, num_slots, 1 << most_bits)
-    return None
+            break
+    else:
+        return None
+    if num_slots > most_slots:
+        return None
+    # Words of all blocks, and leaves of all slots.
+    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
+    alone = ~shape[block].any(axis=1)
+    start[block[alone]] = leaf[alone]
+    pair, slot = enumerate_boxes(first, count)
+    leaf_of_slot = np.zeros(num_slots, np.int64)
+    gaps = page_bits - shape[block[pair]]
+    leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
+    leaf_of_slot[: len(cells)] = np.arange(len(cells))
+    mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
+    words = padded((start << page_bits.sum()) | mask, 1 << most_bits)
+    place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), right_of_place]
+    place_bits.append(np.full_like(bits, page_bits.sum()))
+    pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
+    return pages, block_bits, leaf_of_slot
 
 
 def _place_pages(
-    shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], first: int
+    shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
     """First slot of every block's page, from a given one on, and where the last page ends; 0 of a block without one.
 
@@ -386,7 +367,7 @@ def _place_pages(
     the finest grid: all of it, if there are as many; else it is halved for one, along one axis after another, into
     every other slot, until the room has the page's shape.
     """
-    finest, below = tuple(page_bits.tolist()), _bits_below(page_bits)
+    finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], list[int]] = {}
     start, end = np.zeros(len(shape), np.int64), first
     order = np.flatnonzero(shape.any(axis=1))
@@ -394,7 +375,8 @@ def _place_pages(
     for blocks in np.split(order, 1 + np.flatnonzero((shape[order[1:]] != shape[order[:-1]]).any(axis=1))):
         page = tuple(shape[blocks[0]].tolist()) if len(blocks) else ()
         while len(blocks):
-            room = _smallest_that_holds(rooms, page)
+            holding = [room for room, places in rooms.items() if places and all(map(ge, room, page))]
+            room = page if rooms.get(page) else min(holding, key=sum, default=None)
             if room is None:
                 room, end = finest, end + (1 << sum(finest))
                 rooms.setdefault(room, []).append(end - (1 << sum(finest)))
@@ -416,53 +398,6 @@ def _place_pages(
                     rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
             start[blocks[0]], blocks = place, blocks[1:]
     return start, end
-
-
-def _smallest_that_holds(rooms: dict[tuple[int, ...], list[int]], page: tuple[int, ...]) -> tuple[int, ...] | None:
-    """Shape of the smallest free room that holds a page."""
-    if rooms.get(page):
-        return page
-    free = (room for room, places in rooms.items() if places)
-    holding = (room for room in free if all(has >= wanted for has, wanted in zip(room, page, strict=True)))
-    return min(holding, key=sum, default=None)
-
-
-def _fill_pages(
-    cells: Cells,
-    block_bits: Int[np.ndarray, "dim"],
-    shape: Int[np.ndarray, "blocks dim"],
-    start: Int[np.ndarray, "blocks"],
-    num_slots: int,
-    num_words: int,
-) -> PagedLeaves:
-    """Words of all blocks and leaves of all slots, of pages that start at given ones."""
-    bits = cells.depth.max(axis=0)
-    page_bits = bits - block_bits
-    below = _bits_below(page_bits)
-    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
-    alone = ~shape[block].any(axis=1)
-    start[block[alone]] = leaf[alone]
-    pair, slot = enumerate_boxes(first, count)
-    leaf_of_slot = np.zeros(num_slots, np.int64)
-    gaps = page_bits - shape[block[pair]]
-    leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
-    leaf_of_slot[: len(cells)] = np.arange(len(cells))
-    mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
-    words = padded((start << page_bits.sum()) | mask, num_words)
-    place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), _right_of_place(bits, page_bits)]
-    place_bits.append(np.full_like(bits, page_bits.sum()))
-    pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
-    return PagedLeaves(pages, block_bits, leaf_of_slot)
-
-
-def _bits_below(bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
-    """Bits of all later axes, below which each axis has its own in an index."""
-    return np.cumsum(bits[::-1])[::-1] - bits
-
-
-def _right_of_place(bits: Int[np.ndarray, "dim"], page_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
-    """How far right of their place in a point's fraction the bits within a block belong; below 0 they do not fit."""
-    return FRACTION_BITS - bits - _bits_below(page_bits)
 
 
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
@@ -497,11 +432,11 @@ class Tables:
     """
 
     frame: Float[Array, "7 dim"] | Picked
-    bits: UInt32[Array, "2 dim"] | Picked
+    bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"] | Picked
-    numbers: Float[Array, "count padded"] | Float[Array, "numbers"] | Picked
+    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
+    numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedWindow | None = None
@@ -536,48 +471,39 @@ def build_tables(
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
     # Large tables are not padded to what the class may need at the most.
     rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
+    numbers, bits, blocks, paged = numbers.astype(np.float32), cells.depth.max(axis=0), None, None
+    # 1. Pages, with room for so many slots.
     if leaf.has_deep_trees and rows <= MOST_ROWS:
-        for slots in (max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows), _MOST_PAGED_SLOTS):
-            if (paged := build_pages(cells, slots)) is not None:
-                # Tables with pages and room for so many slots.
-                of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
-                return Tables(
-                    frame=jnp.asarray(frame_of(domain)),
-                    bits=_bits_of_index(paged.block_bits),
-                    blocks=None,
-                    pages=paged.pages,
-                    leaf_of_slot=jnp.asarray(padded(paged.leaf_of_slot.astype(np.uint16), slots)),
-                    numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
-                    leaf=leaf,
-                    periodic=_periodic_axes(domain),
-                    unresolved=unresolved_types(domain),
-                )
-    table = padded(numbers.astype(np.float32), rows)
-    return _tables_by_leaf(domain, cells, table, leaf, slot_bits_of_rows(rows_of_file), max_entries(num_bytes))
-
-
-def _tables_by_leaf(
-    domain: Box, cells: Cells, table: Float[np.ndarray, "rows count"], leaf: Any, slot_bits: int, most_entries: int
-) -> Tables:
-    """A flat table or one of blocks, with room for ``2**slot_bits`` slots at the least."""
-    bits = cells.depth.max(axis=0)
-    flat = bits.sum() <= MAX_FLAT_BITS
-    block_bits = 0 * bits if flat else choose_block_bits(cells, bits, most_entries)
-    shape = block_shapes(cells, block_bits)
-    offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
-    leaf_of_slot = leaves_of_slots(cells, block_bits, shape, offset)
-    slots = 1 << max(slot_bits, (len(leaf_of_slot) - 1).bit_length())
-    index_type = np.uint16 if len(table) <= 2**16 else np.uint32
-    top = bits if flat else block_bits
+        slots = max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows)
+        if (paged := build_pages(cells, slots)) is None:
+            paged = build_pages(cells, slots := _MOST_PAGED_SLOTS)
+    if paged is not None:
+        pages, top, leaf_of_slot = paged
+        leaf_of_slot = leaf_of_slot.astype(np.uint16)
+        of_leaves = np.ascontiguousarray(padded(numbers[leaf_of_slot], slots).T)
+    # 2. A flat table, or blocks.
+    else:
+        pages, flat = None, bits.sum() <= MAX_FLAT_BITS
+        block_bits = 0 * bits if flat else choose_block_bits(cells, bits, max_entries(num_bytes))
+        shape = block_shapes(cells, block_bits)
+        offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
+        leaf_of_slot = leaves_of_slots(cells, block_bits, shape, offset)
+        leaf_of_slot = leaf_of_slot.astype(np.uint16 if rows <= 2**16 else np.uint32)
+        slots = 1 << max(slot_bits_of_rows(rows_of_file), (len(leaf_of_slot) - 1).bit_length())
+        top = bits if flat else block_bits
+        blocks = None if flat else pack_blocks(shape, offset, FRACTION_BITS - top)
+        of_leaves = laid_out(padded(numbers, rows))
+    # An index is made of the first bits along each axis of a point's place.
+    mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
         frame=jnp.asarray(frame_of(domain)),
-        bits=_bits_of_index(top),
-        blocks=None if flat else pack_blocks(shape, offset, FRACTION_BITS - top),
-        pages=None,
-        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), slots)),
-        numbers=jnp.asarray(laid_out(table)),
+        bits=jnp.asarray(np.stack([mask, FRACTION_BITS - np.cumsum(top[::-1])[::-1]]).astype(np.uint32)),
+        blocks=blocks,
+        pages=pages,
+        leaf_of_slot=jnp.asarray(padded(leaf_of_slot, slots)),
+        numbers=jnp.asarray(of_leaves),
         leaf=leaf,
-        periodic=_periodic_axes(domain),
+        periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
         unresolved=unresolved_types(domain),
     )
 
@@ -587,13 +513,3 @@ def laid_out(
 ) -> Float[np.ndarray, "count rows"] | Float[np.ndarray, "numbers"]:
     """Numbers of leaves as :class:`Tables` has them: one row a number, of large tables a leaf's side by side."""
     return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)
-
-
-def _periodic_axes(domain: Box) -> tuple[int, ...]:
-    return tuple(axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic)
-
-
-def _bits_of_index(bits: Int[np.ndarray, "dim"]) -> UInt32[Array, "2 dim"]:
-    """Mask and shift that make an index of the first bits along each axis of a point's place."""
-    mask = ((1 << bits) - 1) << (FRACTION_BITS - bits)
-    return jnp.asarray(np.stack([mask, FRACTION_BITS - np.cumsum(bits[::-1])[::-1]]).astype(np.uint32))

@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers, walled
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
-from plr_jax.plr import _stack as _stack
 from plr_jax.plr import query as lookup
-from plr_jax.plr._stack import build_trie, can_be_in_trie, trie_levels
+from plr_jax.plr._stack import build_trie, trie_levels
 from plr_jax.plr.tree import Cells
 
 # Many PLRs as one function: of an index and a point, or of a point for each.
@@ -41,15 +40,10 @@ def assert_alike(stacked, plrs, x=X):
     assert np.isfinite(expected).any()
 
 
-def test_each_point_is_answered_by_its_own_plr(plrs, monkeypatch):
-    """Those of too many pages for a _stack keep tables of their own."""
+def test_each_point_is_answered_by_its_own_plr(plrs):
     together = stack(plrs)
-    assert [each.common is None for each in together.groups] == [False]
-    monkeypatch.setattr(_stack, "_MOST_ENTRIES", 1)
-    apart = stack(plrs)
-    assert all(each.common is None for each in apart.groups)
-    for stacked in (together, apart):
-        assert_alike(stacked, plrs)
+    assert len(together.groups) == 1
+    assert_alike(together, plrs)
     x, index = jnp.asarray(X[:60]), jnp.asarray(INDEX[:60])
     np.testing.assert_allclose(jax.jit(lambda s, i, p: s(i, p))(together, index, x), together(index, x), rtol=1e-6)
     np.testing.assert_allclose(jax.vmap(together)(index, x), together(index, x), rtol=1e-6)
@@ -116,14 +110,14 @@ def levels_of_all(partitions):
 def assert_finds_rows(partitions, rows, seed=0):
     """In leaves' centers and at multiples of 2**-16, many of which lie on cell borders; of every partition."""
     dim, levels = partitions[0].dim, levels_of_all(partitions)
-    assert all(can_be_in_trie(cells, levels) for cells in partitions)
     trie = build_trie(partitions, rows, levels)
     tables = tables_of_numbers(Cells.root(dim), 100)
     for number, (cells, row) in enumerate(zip(partitions, rows, strict=True)):
         x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(POINTS, dim)) / 2.0**16
         x[: min(len(cells), 400)] = ((cells.position + 0.5) * 2.0**-cells.depth)[:400]
         which = jnp.full(len(x), number, jnp.uint32)
-        found = find_row(replace(tables, trie=trie.of(which, int(levels[1].sum()))), jnp.asarray(x, jnp.float32))
+        of_partition = replace(trie, start=trie.start + (which << np.uint32(levels[1].sum())))
+        found = find_row(replace(tables, trie=of_partition), jnp.asarray(x, jnp.float32))
         np.testing.assert_array_equal(found, row[leaf_by_position(cells, x)])
 
 
@@ -135,11 +129,10 @@ def one_row_a_leaf(partitions):
 @given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 3, 4]), sizes=st.lists(st.integers(0, 100), min_size=1))
 def test_every_point_finds_its_leaf_in_its_own_partition(seed, dim, sizes):
     partitions = [random_partition(seed + i, dim, size) for i, size in enumerate(sizes[:4])]
-    assume(all(can_be_in_trie(cells, levels_of_all(partitions)) for cells in partitions))
     assert_finds_rows(partitions, one_row_a_leaf(partitions), seed)
 
 
-@pytest.mark.parametrize("axes", [[0] * 17, [0, 1] * 13, [0] * 13 + [1] * 13, [0, 1, 2] * 7, [1] * 13])
+@pytest.mark.parametrize("axes", [[0] * 22, [0, 1] * 13, [0] * 13 + [1] * 13, [0, 1, 2] * 7, [1] * 13])
 def test_deep_leaves_are_found_beside_shallow_ones(axes):
     deep = chain([*axes, *range(max(axes) + 1)][-len(axes) :])
     partitions = [Cells.root(deep.dim), deep, random_partition(0, deep.dim, 30)]
@@ -151,9 +144,10 @@ def test_leaves_of_the_same_numbers_share_a_row():
     assert_finds_rows([cells, cells], [np.arange(len(cells)) % 3, 3 + np.arange(len(cells)) % 2])
 
 
-def test_too_deep_partitions_and_such_of_too_many_pages_are_left_out():
-    too_deep = chain([0] * 18)
-    assert not can_be_in_trie(too_deep, levels_of_all([too_deep]))
-    thin = Cells(np.full((1 << 13, 2), (13, 0)), np.stack([np.arange(1 << 13), np.zeros(1 << 13, int)], axis=1))
-    assert not can_be_in_trie(thin, levels_of_all([thin, chain([1] * 13)]))
-    assert can_be_in_trie(thin, levels_of_all([thin]))
+def test_too_deep_partitions_and_such_of_too_many_pages_are_refused():
+    too_deep = chain([0, 1] * 20)
+    thin = Cells(np.full((1 << 17, 2), (17, 0)), np.stack([np.arange(1 << 17), np.zeros(1 << 17, int)], axis=1))
+    for partitions in ([too_deep], [thin, chain([1] * 17)]):
+        with pytest.raises(ValueError, match="too deep for a stack"):
+            build_trie(partitions, one_row_a_leaf(partitions), levels_of_all(partitions))
+    build_trie([thin], one_row_a_leaf([thin]), levels_of_all([thin]))
