@@ -145,7 +145,7 @@ def test_leaves_of_the_same_numbers_share_a_row():
 
 
 def test_too_deep_partitions_and_such_of_too_many_pages_are_refused():
-    too_deep = chain([0, 1] * 20)
+    too_deep = chain([0, 1] * 22)
     thin = Cells(np.full((1 << 17, 2), (17, 0)), np.stack([np.arange(1 << 17), np.zeros(1 << 17, int)], axis=1))
     for partitions in ([too_deep], [thin, chain([1] * 17)]):
         with pytest.raises(ValueError, match="too deep for a stack"):
