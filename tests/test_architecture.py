@@ -35,7 +35,6 @@ PLR_LAYERS = [
     ["_proof"],
     ["tables"],
     ["query"],
-    ["points"],
     ["portable"],
     ["_plr"],
     ["_stack"],

@@ -14,7 +14,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.points import as_array
+from plr_jax.plr.query import as_array
 
 
 @jax.tree_util.register_dataclass

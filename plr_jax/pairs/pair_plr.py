@@ -31,8 +31,7 @@ from plr_jax.pairs.stored import Stored
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import HeldFile, held
 from plr_jax.plr.frame import Outside, as_outside, require_resolved
-from plr_jax.plr.points import as_array
-from plr_jax.plr.query import length_of
+from plr_jax.plr.query import as_array, length_of
 
 if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace

@@ -30,7 +30,8 @@ from plr_jax.plr.container import Container, HeldFile, held
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.leaves.base import LeafModel
-from plr_jax.plr.points import (
+from plr_jax.plr.portable.numpy import NumpyPLR
+from plr_jax.plr.query import (
     PointPlacement,
     TableStack,
     as_array,
@@ -40,7 +41,6 @@ from plr_jax.plr.points import (
     find_leaves,
     waypoints_of_points,
 )
-from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.tables import Tables, build_tables
 from plr_jax.plr.tree import Cells
 
@@ -152,7 +152,8 @@ class PLR(HeldFile):
         Raises:
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
-        return bound_points(self._require_band(), *self._placed(x))
+        band, (tables, placed) = self._require_band(), self._placed(x)
+        return bound_points(tables, band, placed)
 
     @property
     def lower(self) -> "LowerBound":

@@ -29,8 +29,7 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.points import as_array
-from plr_jax.plr.query import evaluate_tables
+from plr_jax.plr.query import as_array, evaluate_tables
 from plr_jax.plr.tables import Picked, Tables, Trie, laid_out
 from plr_jax.plr.tree import Cells
 
@@ -308,7 +307,9 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     groups = []
     for members in kinds.values():
         group[members], place[members] = len(groups), np.arange(len(members))
-        groups.append(_Alike.of(*([each[i] for i in members] for each in (plrs, tables, frames))))
+        groups.append(
+            _Alike.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
+        )
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
     parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
     arrays = jnp.asarray(group), jnp.asarray(place), parts

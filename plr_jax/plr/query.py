@@ -1,31 +1,39 @@
-"""A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
+"""A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function.
 
-from dataclasses import dataclass
+Of one PLR or of a team's, compiled.
+"""
+
+from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, UInt32
+from jaxtyping import Array, Bool, Float, Integer, UInt32
 
+from plr_jax._arrays import as_queries, padded_size
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
-from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie, gather, moved, rounded, shift_right
+from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 _ENDS_IN_DOUBLE = 2.0**-44
 """How well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly."""
 
 
-def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outside = "inf") -> Float[Array, "*batch"]:
-    """Value of the leaf's function at each point; outside the closed domain what is asked for, NaN for NaN."""
+def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float[Array, "*batch"]:
+    """Value of the leaf's function at each point; outside the closed domain what is asked for, NaN for NaN.
+
+    Raises ``ValueError`` for points of another shape or type; what is checked does not depend on their values.
+    """
     x = _in_floats(tables, x)
     if outside == "clamp":
         nearest, way = _clamped(tables if tables.folding is None else tables.folding, x)
         return evaluate_tables(tables, nearest) + way
     if tables.folding is not None:
         is_outside, answer = outside_domain(tables.folding, x)
-        value = evaluate_tables(tables.of_folded_points(), tables.folding(x, is_outside))
+        value = evaluate_tables(replace(tables, folding=None), _folded(tables.folding, x, is_outside))
     else:
         x = _wrapped(tables, x)
         row = find_row(tables, jax.lax.stop_gradient(x))
@@ -34,15 +42,19 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outsid
     return jnp.where(is_outside, jnp.full_like(answer, jnp.nan) if outside == "nan" else answer, value)
 
 
-def _in_floats(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+def _in_floats(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
     """Points in 32 or 64 bits, which must resolve the domain."""
+    if x.ndim == 0 or x.shape[-1] != tables.dim:
+        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
+    _require_real(x)
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    require_resolved(x.dtype, tables.unresolved)
+    if tables.unresolved:
+        require_resolved(x.dtype, tables.unresolved)
     return x
 
 
 def bounds_of_tables(
-    tables: Tables, band: Float[Array, "2 rows"], x: Num[Array, "*batch dim"]
+    tables: Tables, band: Float[Array, "2 rows"], x: Array
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Lower and upper bounds of the distance at each point: what is answered, and the band of its leaf, or of all.
 
@@ -64,7 +76,7 @@ def bounds_of_tables(
     return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
 
 
-def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
     """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
     x = jax.lax.stop_gradient(_in_floats(tables, x))
     outside, answer = outside_domain(tables, x)
@@ -80,7 +92,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
     Points outside the domain, and NaN, get some leaf.
     """
     if tables.folding is not None:
-        return lookup(tables.of_folded_points(), tables.folding(x, jnp.zeros(x.shape[:-1], bool)))
+        return lookup(replace(tables, folding=None), _folded(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrapped(tables, x))
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
@@ -122,6 +134,25 @@ def _index_in_block(
     return start + index
 
 
+def _folded(
+    window: FoldedWindow, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
+) -> Float[Array, "*batch dim"]:
+    """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
+    axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
+    z = [jnp.where(outside, 0, rounded(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
+    if window.axes is not None:
+        turned = window.axes.astype(x.dtype)
+        z = [reduce(jnp.add, (rounded(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
+    for pivot, reversed_axes in window.mirrors:
+        is_behind = z[pivot] < 0
+        for axis in reversed_axes:
+            z[axis] = jnp.where(is_behind, -z[axis], z[axis])
+    lo, hi = window.corners.astype(x.dtype)  # only rounding puts coordinates outside
+    columns = [moved(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in axes]
+    # Computed once: a compiler would repeat all this wherever a coordinate is read.
+    return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
+
+
 def outside_domain(
     tables: Tables | FoldedWindow, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
@@ -150,22 +181,16 @@ def _clamped(
     for axis in range(window.dim):
         if axis in window.periodic:
             continue
-        along, (lo, hi) = nearest[axis], _ends_inside(window, axis, x.dtype)
+        frame, along = window.frame[:, axis].astype(x.dtype), nearest[axis]
+        lo, hi = frame[Frame.LO], frame[Frame.HI]
+        if x.dtype == jnp.float64:  # the outermost coordinates that ``outside_domain`` calls inside
+            lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
+            lo = jnp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], jnp.nextafter(lo, jnp.inf), lo)
+            hi = jnp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], jnp.nextafter(hi, -jnp.inf), hi)
         inside = jnp.where(along < lo, lo, jnp.where(along > hi, hi, along))
         nearest[axis] = jnp.where(is_finite, inside, along)
         beyond.append(jnp.where(is_finite, along - inside, 0))
     return jnp.stack(nearest, axis=-1), length_of(beyond)
-
-
-def _ends_inside(window: Tables | FoldedWindow, axis: int, dtype: Any) -> tuple[Float[Array, "*_"], ...]:
-    """The outermost coordinates of an axis that ``outside_domain`` calls inside."""
-    frame = window.frame[:, axis].astype(dtype)
-    lo, hi = frame[Frame.LO], frame[Frame.HI]
-    if dtype == jnp.float64:
-        lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
-        lo = jnp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], jnp.nextafter(lo, jnp.inf), lo)
-        hi = jnp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], jnp.nextafter(hi, -jnp.inf), hi)
-    return lo, hi
 
 
 def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
@@ -179,27 +204,22 @@ def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
 
 
 def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Points with their coordinates along periodic axes inside the domain, in the points' own precision."""
-    if not tables.periodic:
-        return x
-    along = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
-    for axis in tables.periodic:
-        along[axis] = moved(along[axis], _between_ends(tables, jax.lax.stop_gradient(along[axis]), axis))
-    return jnp.stack(along, axis=-1)
-
-
-def _between_ends(tables: Tables, x: Float[Array, "*batch"], axis: int) -> Float[Array, "*batch"]:
-    """Coordinates moved by whole periods to between the ends of an axis, the upper of which becomes the lower.
+    """Points moved by whole periods to between the ends of periodic axes, the upper of which becomes the lower.
 
     A compiler may round the product and the difference at once in one part of a query and apart in another. That
     moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
     """
-    frame = tables.frame[:, axis].astype(x.dtype)
-    lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
-    turns = jnp.floor((x - lo) * frame[Frame.SCALE])
-    is_end = jnp.abs(x - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
-    inside = jnp.where(is_end, lo, jnp.clip(x - rounded(turns * (hi - lo)), lo, hi))
-    return jnp.where(jnp.isfinite(x), inside, x)
+    if not tables.periodic:
+        return x
+    columns = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
+    for axis in tables.periodic:
+        along, frame = jax.lax.stop_gradient(columns[axis]), tables.frame[:, axis].astype(x.dtype)
+        lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
+        turns = jnp.floor((along - lo) * frame[Frame.SCALE])
+        is_end = jnp.abs(along - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
+        inside = jnp.where(is_end, lo, jnp.clip(along - rounded(turns * (hi - lo)), lo, hi))
+        columns[axis] = moved(columns[axis], jnp.where(jnp.isfinite(along), inside, along))
+    return jnp.stack(columns, axis=-1)
 
 
 def _value(
@@ -210,8 +230,12 @@ def _value(
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_of_cells:
+            # From 0 to 1 in the interval of that number, or beyond by as much as the lookup rounds a point across a
+            # border. Products and the difference are exact, so both leaves at a face see the same point.
             u = rounded(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
-            along = _coordinate_in_cell(u, numbers[axis])
+            number = jax.lax.bitcast_convert_type(numbers[axis].astype(jnp.float32), jnp.uint32)
+            count = jax.lax.bitcast_convert_type(number & _EXPONENT, jnp.float32).astype(u.dtype)
+            along = u * count - (numbers[axis] - count)
         place.append(_Unfused(_zero_if_differentiated(along, outside)))
     of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_of_cells :]]
     return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
@@ -233,24 +257,13 @@ class _Unfused:
         return _Unfused(rounded(self.value * other.value))
 
 
-def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: Any) -> list[Float[Array, "*batch"]]:
+def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> list[Float[Array, "*batch"]]:
     """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
     count = tables.leaf.num_numbers(tables.dim)
     if tables.numbers.ndim == 2:
         return [gather(tables.numbers[which], row).astype(dtype) for which in range(count)]
     first = row * np.uint32(count)
     return [gather(tables.numbers, first + np.uint32(which)).astype(dtype) for which in range(count)]
-
-
-def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Coordinate, from 0 to 1, in the interval of that number, of a point at ``u`` of the domain.
-
-    Where the lookup rounds a point across a border, the coordinate is beyond 0 or 1 by as much. Products and the
-    difference are exact, so both leaves at a face see the same point.
-    """
-    exponent = jax.lax.bitcast_convert_type(number.astype(jnp.float32), jnp.uint32) & _EXPONENT
-    count = jax.lax.bitcast_convert_type(exponent, jnp.float32).astype(u.dtype)
-    return u * count - (number - count)
 
 
 @jax.custom_jvp
@@ -320,3 +333,141 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
             trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )
     return entry >> np.uint32(1)
+
+
+def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
+    """Entries of a table at indices that it has."""
+    return table.at[index].get(mode="promise_in_bounds")
+
+
+def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
+    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
+    return x >> (by & np.uint32(WORD_BITS - 1))
+
+
+@jax.custom_jvp
+def moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """What numbers become that computing moves a little, or by whole periods; differentiated as if they stayed."""
+    return to
+
+
+@moved.defjvp
+def _moved_with_tangent(primals, tangents):
+    return primals[1], tangents[0]
+
+
+def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
+    constant = jax.lax.stop_gradient(value)
+    return moved(value, jnp.where(constant == constant, constant, jnp.nan))
+
+
+# What is compiled, and the points that it is given.
+
+
+find_leaves = jax.jit(lookup)
+"""The leaf of each point, as its index."""
+
+evaluate_points = jax.jit(evaluate_tables)
+"""Values at points; ``outside`` would add a tenth to what a call takes."""
+
+evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnames="outside")
+"""The same with another answer outside the domain."""
+
+bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
+
+
+def as_array(x: ArrayLike) -> np.ndarray:
+    """Points on the host. Integers become floats here, where they cannot wrap around, and masked numbers NaN."""
+    x = as_queries(x)
+    if x.dtype in (np.float32, np.float64):
+        return x
+    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
+        return x.astype(np.float64)
+    _require_real(x)  # which JAX cannot even be shown
+    return x
+
+
+def _require_real(x: Array | np.ndarray) -> None:
+    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
+
+
+@dataclass(frozen=True, eq=False)
+class PointPlacement:
+    """Placing points on the host: around periodic axes, and from a corner far from the origin.
+
+    Attributes:
+        domain: The domain, if it has a periodic axis; else None.
+        corner: The corner from which the tables count coordinates; None for the origin.
+    """
+
+    domain: Box | None
+    corner: Float[np.ndarray, "dim"] | None
+
+    def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
+        """The points as the tables want them."""
+        if self.domain is not None:
+            x = self.domain.wrapped(x)
+        return x if self.corner is None else x - self.corner
+
+
+# A team's PLRs as one function: a whole batch of joint configurations in a few compiled calls.
+
+
+# The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
+# are worth their own, as JAX then computes at once instead of handing the work to another thread.
+_SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
+_CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
+
+
+@dataclass(frozen=True, eq=False)
+class TableStack:
+    """The tables of several PLRs, one a robot, and how some want their points placed before they are rounded.
+
+    See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
+    """
+
+    tables: tuple[Tables, ...]
+    bands: tuple[Float[Array, "2 _"] | None, ...]
+    placements: tuple[PointPlacement | None, ...]
+
+    def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
+        """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
+        shape = q.shape
+        if len(shape) != 3 or shape[1] != len(self.tables):
+            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
+        for i, table in enumerate(self.tables):
+            if table.dim > shape[2]:
+                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
+        distances = np.empty(q.shape[1::-1])
+        starts = range(0, len(q), _CHUNK)
+        # All calls are under way before the first result is waited for.
+        answers = [_evaluate(self.tables, self.bands, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
+        for begin, answer in zip(starts, answers, strict=True):
+            columns = distances[:, begin : begin + _CHUNK]
+            for column, of_robot in zip(columns, answer, strict=True):
+                column[:] = np.asarray(of_robot)[: len(column)]
+        return distances.T
+
+    def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
+        """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+        size = padded_size(len(q), _SIZES)
+        padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
+        padded[: len(q)], padded[len(q) :] = q, 0
+        for i, (table, placement) in enumerate(zip(self.tables, self.placements, strict=True)):
+            if placement is not None:
+                padded[: len(q), i, : table.dim] = placement(q[:, i, : table.dim])
+        return padded
+
+
+@jax.jit
+def _evaluate(
+    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 _"] | None, ...], q: Float[Array, "n robots dof"]
+) -> tuple[Float[Array, "n"], ...]:
+    """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
+    parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
+    return tuple(
+        evaluate_tables(table, part) if band is None else bounds_of_tables(table, band, part)[0]
+        for table, band, part in zip(tables, bands, parts, strict=True)
+    )

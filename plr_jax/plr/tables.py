@@ -22,7 +22,6 @@ it has room for, as blocks may be finer in four steps; else 65,536 slots, and el
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from math import prod
 from operator import ge
 from typing import Any
@@ -30,7 +29,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Integer, UInt16, UInt32
+from jaxtyping import Array, Float, Int, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
@@ -108,34 +107,9 @@ class Picked:
         inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
         if rest:
             return inner[tuple(rest)]
-        return inner if inner.shape else gather(self.flat, inner.start).astype(self.dtype)
-
-
-def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
-    """Entries of a table at indices that it has."""
-    return table.at[index].get(mode="promise_in_bounds")
-
-
-def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
-    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
-    return x >> (by & np.uint32(WORD_BITS - 1))
-
-
-@jax.custom_jvp
-def moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """What numbers become that computing moves a little, or by whole periods; differentiated as if they stayed."""
-    return to
-
-
-@moved.defjvp
-def _moved_with_tangent(primals, tangents):
-    return primals[1], tangents[0]
-
-
-def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
-    constant = jax.lax.stop_gradient(value)
-    return moved(value, jnp.where(constant == constant, constant, jnp.nan))
+        if inner.shape:
+            return inner
+        return self.flat.at[inner.start].get(mode="promise_in_bounds").astype(self.dtype)
 
 
 @jax.tree_util.register_dataclass
@@ -163,41 +137,6 @@ class FoldedWindow:
     def dim(self) -> int:
         """Number of axes."""
         return self.frame.shape[1]
-
-    @staticmethod
-    def of(folding: Folding, origin: Float[np.ndarray, "dim"]) -> "FoldedWindow":
-        """The same folding, for queries of points counted from an origin."""
-        center, corners = folding_numbers(folding, origin)
-        return FoldedWindow(
-            frame=jnp.asarray(frame_of(folding.domain.moved(-origin))),
-            center=jnp.asarray(center),
-            corners=jnp.asarray(corners),
-            axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
-            mirrors=mirrored_axes(folding),
-            periodic=tuple(np.flatnonzero(folding.domain.periodic).tolist()),
-        )
-
-    def __call__(self, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch dim"]:
-        """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
-        center, rest = self.center.astype(x.dtype)
-        z = [jnp.where(outside, 0, rounded(x[..., axis] - center[axis]) - rest[axis]) for axis in range(self.dim)]
-        if self.axes is not None:
-            axes = self.axes.astype(x.dtype)
-            z = [
-                reduce(jnp.add, (rounded(axes[row, axis] * z[axis]) for axis in range(self.dim)))
-                for row in range(self.dim)
-            ]
-        for pivot, reversed_axes in self.mirrors:
-            is_behind = z[pivot] < 0
-            for axis in reversed_axes:
-                z[axis] = jnp.where(is_behind, -z[axis], z[axis])
-        lo, hi = self.corners.astype(x.dtype)
-        # Only rounding puts coordinates outside.
-        columns = [
-            moved(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in range(self.dim)
-        ]
-        # Computed once: a compiler would repeat all this wherever a coordinate is read.
-        return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 # Two-level tables of any size: each coarse block has a little table of its own, just as fine as its leaves need.
@@ -335,27 +274,24 @@ def build_pages(
         if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > most_slots:
             continue
         start, num_slots = _place_pages(shape, page_bits, below, len(cells))
-        if num_slots <= most_slots:
-            break
-    else:
-        return None
-    if num_slots > most_slots:
-        return None
-    # Words of all blocks, and leaves of all slots.
-    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
-    alone = ~shape[block].any(axis=1)
-    start[block[alone]] = leaf[alone]
-    pair, slot = enumerate_boxes(first, count)
-    leaf_of_slot = np.zeros(num_slots, np.int64)
-    gaps = page_bits - shape[block[pair]]
-    leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
-    leaf_of_slot[: len(cells)] = np.arange(len(cells))
-    mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
-    words = padded((start << page_bits.sum()) | mask, 1 << most_bits)
-    place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), right_of_place]
-    place_bits.append(np.full_like(bits, page_bits.sum()))
-    pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
-    return pages, block_bits, leaf_of_slot
+        if num_slots > most_slots:
+            continue
+        # Words of all blocks, and leaves of all slots.
+        leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
+        alone = ~shape[block].any(axis=1)
+        start[block[alone]] = leaf[alone]
+        pair, slot = enumerate_boxes(first, count)
+        leaf_of_slot = np.zeros(num_slots, np.int64)
+        gaps = page_bits - shape[block[pair]]
+        leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
+        leaf_of_slot[: len(cells)] = np.arange(len(cells))
+        mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
+        words = padded((start << page_bits.sum()) | mask, 1 << most_bits)
+        place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), right_of_place]
+        place_bits.append(np.full_like(bits, page_bits.sum()))
+        pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
+        return pages, block_bits, leaf_of_slot
+    return None
 
 
 def _place_pages(
@@ -452,12 +388,16 @@ class Tables:
         """The same, of points that are folded, and counted from an origin."""
         if folding is None:
             return self
-        unresolved = unresolved_types(folding.domain.moved(-origin))
-        return replace(self, folding=FoldedWindow.of(folding, origin), unresolved=unresolved)
-
-    def of_folded_points(self) -> "Tables":
-        """The same for points that are folded already."""
-        return replace(self, folding=None)
+        domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
+        window = FoldedWindow(
+            frame=jnp.asarray(frame_of(domain)),
+            center=jnp.asarray(center),
+            corners=jnp.asarray(corners),
+            axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
+            mirrors=mirrored_axes(folding),
+            periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
+        )
+        return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 
 def build_tables(

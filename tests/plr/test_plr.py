@@ -8,7 +8,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 
 from plr_jax import PLR, Box, BuildOptions, construct, save
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.points import evaluate_points
+from plr_jax.plr.query import evaluate_points
 
 
 def test_attributes(plr, leaf, x):
