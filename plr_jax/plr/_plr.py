@@ -129,9 +129,31 @@ class PLR(HeldFile):
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_array(x)
-        if x.dtype == np.float64 and self._placement is not None and x.shape[-1:] == (self.dim,):
-            return self._placed_tables, self._placement(x)
+        if x.dtype == np.float64 and x.shape[-1:] == (self.dim,):
+            tables, placement = self._placing
+            return tables, x if placement is None else placement(x)
         return self.tables, x
+
+    @property
+    def _placing(self) -> tuple[Tables, PointPlacement | None]:
+        """The tables for NumPy's 64-bit points, and what to do with these before they are rounded; None: nothing."""
+        if isinstance(self.file, Tracer):
+            return self.tables, None
+        has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+        corner = None if has_doubles else self._corner_if_far
+        if corner is None and not self.tables.periodic:
+            return self.tables, None
+        placement = PointPlacement(self.domain if self.tables.periodic else None, corner)
+        return self.tables if corner is None else self.tables_from_corner, placement
+
+    @cached_property
+    def _corner_if_far(self) -> Corner | None:
+        return corner_if_far(self.domain)
+
+    @cached_property
+    def tables_from_corner(self) -> Tables:
+        """The tables for points counted from the lower corner of a domain that is far from the origin."""
+        return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance at each point from which the goal can be reached.
@@ -204,8 +226,7 @@ class PLR(HeldFile):
         as_sourced(self.leaf)
         tables, placed = self._placed(x)
         source = waypoints_of_points(tables, placed)
-        corner = None if tables is self.tables else self._far_corner
-        return source if corner is None else corner + np.asarray(source, np.float64)
+        return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """The PLR of a map that has changed here and there, with its proof, far sooner than one made from nothing.
@@ -299,15 +320,8 @@ class PLR(HeldFile):
             ValueError: If they are not a list of PLRs, at least one. When called, if the robots are not as many as
                 the PLRs, or a PLR has more dimensions than there are coordinates.
         """
-        if not isinstance(plrs, Iterable):
-            raise ValueError(f"plrs must be a list of PLRs, one a robot, got {shortened(plrs)}; for one give [plr].")
-        plrs = list(plrs)
-        for i, plr in enumerate(plrs):
-            if not isinstance(plr, PLR):
-                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
-        if not plrs:
-            raise ValueError("A stack needs one PLR a robot, at least one, got none.")
-        tables, placements = zip(*((plr._placed_tables, plr._placement) for plr in plrs), strict=True)
+        plrs = as_plrs(plrs)
+        tables, placements = zip(*(plr._placing for plr in plrs), strict=True)
         return TableStack(tables, (None,) * len(plrs), placements)
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
@@ -428,32 +442,18 @@ class PLR(HeldFile):
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
         return planes_of_leaves(self._contents, self._coefficients)
 
-    @property
-    def _far_corner(self) -> Corner | None:
-        """The lower corner of a domain so far from the origin that points are counted from there, on the host."""
-        has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
-        return None if has_doubles else self._corner_if_far
 
-    @cached_property
-    def _corner_if_far(self) -> Corner | None:
-        return None if isinstance(self.tables.frame, Tracer) else corner_if_far(self.domain)
-
-    @property
-    def _placement(self) -> PointPlacement | None:
-        """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
-        domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
-        corner = self._far_corner
-        return None if domain is None and corner is None else PointPlacement(domain, corner)
-
-    @property
-    def _placed_tables(self) -> Tables:
-        """The tables for points that are placed."""
-        return self.tables if self._far_corner is None else self.tables_from_corner
-
-    @cached_property
-    def tables_from_corner(self) -> Tables:
-        """The tables for points counted from the domain's lower corner."""
-        return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
+def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
+    """A list of PLRs that are stacked, at least one, or ``ValueError``."""
+    if not isinstance(plrs, Iterable):
+        raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for one give [plr].")
+    plrs = list(plrs)
+    for i, plr in enumerate(plrs):
+        if not isinstance(plr, PLR):
+            raise ValueError(f"Only PLRs can be stacked, number {i} is {shortened(plr)}.")
+    if not plrs:
+        raise ValueError("A stack needs at least one PLR, got none.")
+    return plrs
 
 
 def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Tables:
@@ -535,5 +535,5 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     """Index of the leaf that answers for each point."""
-    placed = x if plr._placement is None else plr._placement(x)
-    return np.asarray(find_leaves(plr._placed_tables, placed)).astype(np.int64)
+    tables, placement = plr._placing
+    return np.asarray(find_leaves(tables, x if placement is None else placement(x))).astype(np.int64)

@@ -12,9 +12,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import mixed, padded, shortened, size_in_eighths
+from plr_jax._arrays import mixed, padded, size_in_eighths
 from plr_jax._types import ArrayLike
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, as_plrs
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Outside,
@@ -274,17 +274,9 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         ValueError: If they are not a list of PLRs, at least one, of one number of dimensions; or all their tables
             together are too large for 32-bit indices.
     """
-    try:
-        plrs = list(plrs)
-    except TypeError:
-        raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for one give [plr].") from None
-    for i, plr in enumerate(plrs):
-        if not isinstance(plr, PLR):
-            raise ValueError(f"Only PLRs can be stacked, number {i} is {shortened(plr)}.")
+    plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
-        raise ValueError(
-            f"A stack needs PLRs of one number of dimensions, at least one, got those of {sorted(dims)}."
-        )
+        raise ValueError(f"A stack needs PLRs of one number of dimensions, got those of {sorted(dims)}.")
     # In a domain that is far from the origin, points are counted from its corner.
     tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]

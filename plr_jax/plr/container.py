@@ -207,15 +207,12 @@ class Container:
 
 def require_label(label: str) -> None:
     """Raise ``ValueError`` unless a file has room for this label."""
-    if not isinstance(label, str) or not _fits(label):
-        raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
-
-
-def _fits(label: str) -> bool:
     try:
-        return len(label.encode()) <= MOST_LABEL_BYTES
+        fits = isinstance(label, str) and len(label.encode()) <= MOST_LABEL_BYTES
     except UnicodeEncodeError:  # half a surrogate pair
-        return False
+        fits = False
+    if not fits:
+        raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
@@ -286,8 +283,16 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
         raise ValueError(
             "it stores what a distance is more than a straight line, which plr_jax 0.1 reads; build it again"
         )
+    if not (np.isfinite(center).all() and np.isfinite(axes).all()):
+        raise ValueError("its folding has numbers that are not finite")
+    unit, periodic = np.eye(dim), np.array(domain.periodic)
+    if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
+        raise ValueError("the axes of its folding are not orthogonal, or turn a periodic one")
+    if not mirrors:
+        raise ValueError("its folding folds nothing")
     folding = Folding(domain, center, axes, mirrors)
-    _check(folding)
+    if folding.cutting != mirrors:
+        raise ValueError("its folding has a mirror that does not cut the domain")
     return folding
 
 
@@ -296,19 +301,6 @@ def _flags(data: bytes) -> Bool[np.ndarray, "n"]:
     if (numbers > 1).any():
         raise ValueError(f"its folding has a mark of {numbers.max()}, which is 0 or 1")
     return numbers == 1
-
-
-def _check(folding: Folding) -> None:
-    axes, periodic = folding.axes, np.array(folding.domain.periodic)
-    if not (np.isfinite(folding.center).all() and np.isfinite(axes).all()):
-        raise ValueError("its folding has numbers that are not finite")
-    unit = np.eye(len(axes))
-    if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
-        raise ValueError("the axes of its folding are not orthogonal, or turn a periodic one")
-    if not folding.mirrors:
-        raise ValueError("its folding folds nothing")
-    if folding.cutting != folding.mirrors:
-        raise ValueError("its folding has a mirror that does not cut the domain")
 
 
 # The domain as a file keeps it. Most maps have corners of few decimals, so it is multiples of a power of ten, or else

@@ -259,11 +259,10 @@ class _Unfused:
 
 def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> list[Float[Array, "*batch"]]:
     """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
-    count = tables.leaf.num_numbers(tables.dim)
     if tables.numbers.ndim == 2:
-        return [gather(tables.numbers[which], row).astype(dtype) for which in range(count)]
-    first = row * np.uint32(count)
-    return [gather(tables.numbers, first + np.uint32(which)).astype(dtype) for which in range(count)]
+        return [gather(tables.numbers[which], row).astype(dtype) for which in range(len(tables.numbers))]
+    count = tables.leaf.num_numbers(tables.dim)
+    return [gather(tables.numbers, row * np.uint32(count) + np.uint32(which)).astype(dtype) for which in range(count)]
 
 
 @jax.custom_jvp
