@@ -374,13 +374,8 @@ class _Team:
                 row, other = timetable.meetings(i, motion)
                 todo += sorted({*other[row < _PATIENCE].tolist()} - {*todo})
             timetable.move(i, motion)
-        self._hurry(timetable)
-        self.path = timetable.path
-        return Status.SOLVED
-
-    def _hurry(self, timetable: Timetable) -> None:
-        """Plan the robot again that is to be at its goal latest, over its straight way, if it gets there sooner."""
-        problem, is_bound = self.problem, (timetable.path[-1] == self.wanted).all(axis=1)
+        # Plan the robot again that is to be at its goal latest, over its straight way, if it gets there sooner.
+        is_bound = (timetable.path[-1] == self.wanted).all(axis=1)
         straight = straight_costs(self.path[0], self.wanted, problem.rotation_weights) / self.length
         late = np.where(is_bound & (self._num_rows >= self._hurried + _WINDOW), timetable.ends - straight, 0.0)
         i = int(late.argmax())
@@ -389,6 +384,8 @@ class _Team:
             motion, arrives = self._search(timetable, i)
             if motion is not None and arrives and len(motion) <= timetable.ends[i]:
                 timetable.move(i, motion)
+        self.path = timetable.path
+        return Status.SOLVED
 
     def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
         """A motion of a robot among the others, and whether it leads to the goal."""

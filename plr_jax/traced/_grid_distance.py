@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.traced.any_angle import MOST_CORNERS, CornerPairs, CornerPaths, convex_corners, places
+from plr_jax.traced.any_angle import ALL_KEPT, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
 from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
@@ -152,7 +152,8 @@ def grid_distance(
     if point is not None and point.ndim != 1:
         raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for several.")
     if moves == "any-angle":
-        count = min((h - 1) * (w - 1), max_corners or places((h, w)))
+        inside = (h - 1) * (w - 1)
+        count = min(inside, max_corners or (inside if inside <= ALL_KEPT else -(-inside // 2)))
         if count > MOST_CORNERS:
             raise ValueError(
                 f"A grid of {h} x {w} cells has too many corners for any-angle paths, {count:,} of at most "

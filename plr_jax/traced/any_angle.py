@@ -26,7 +26,8 @@ Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12
 """Corners whose lengths take 64 megabytes."""
-_ALL_KEPT = 2**8
+ALL_KEPT = 2**8
+"""Corners inside a grid up to which all have places by default; of more, half."""
 
 
 def margin(shape: Shape, dtype: Any) -> float:
@@ -152,7 +153,7 @@ class Corners:
     @property
     def _is_lattice(self) -> bool:
         """Whether every corner inside the grid has its place: what segments between them cross is then in a table."""
-        return len(self.index) == len(lattice(self.free.shape)) <= _ALL_KEPT
+        return len(self.index) == len(lattice(self.free.shape)) <= ALL_KEPT
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Where they are."""
@@ -201,12 +202,6 @@ class Corners:
         seen &= self.is_convex[None] & self.is_convex[:, None] & ~jnp.eye(len(self.index), dtype=bool)
         points = self.points(dtype)
         return jnp.where(seen, distance(points[:, None], points[None]), jnp.inf)
-
-
-def places(shape: Shape) -> int:
-    """How many corners are kept by default: all of a small grid, half of those of a large one."""
-    inside = (shape[0] - 1) * (shape[1] - 1)
-    return inside if inside <= _ALL_KEPT else -(-inside // 2)
 
 
 def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
