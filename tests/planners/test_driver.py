@@ -69,6 +69,7 @@ DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "class
 DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", DBCBS)
 def test_problems_of_dbcbs_their_robots_holonomic(data_dir, name):
     assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
@@ -481,6 +482,7 @@ def test_whatever_the_time_limit_a_path_is_valid(limit):
         assert validate(problem, solution.path).valid and solution.motions_factor >= 1
 
 
+@pytest.mark.full
 def test_on_a_given_lattice_lacam_is_made_once(monkeypatch):
     found = []
     improve = driver.Run._improve
