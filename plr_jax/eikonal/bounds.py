@@ -103,18 +103,14 @@ class CostToGoField:
         return (self.program.space.values @ self.values).reshape(len(self.mesh.state), -1)
 
     @cached_property
-    def _rescaling(self):
+    def _rescaling(self) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
         return self.program.rescaling(self.values)
-
-    def lower_at(self, cell: CellIndex, t: Points) -> Numbers:
-        """The lower bound at points ``t``, from 0 to 1, of cells, except for rounding."""
-        return self._rescaling(np.sum(basis(self.program.space.degree, t) * self._nodal[cell], axis=1))
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
-        num, corners = len(self.mesh.state), corner_bits(self.mesh.dim)
-        at = np.tile(corners.astype(float), (num, 1))
-        return self.lower_at(np.repeat(np.arange(num), len(corners)), at).reshape(num, -1)
+        """The lower bound at the corners of cells, except for rounding."""
+        is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
+        return np.interp(self._nodal[:, is_corner], *self._rescaling)
 
     @cached_property
     def _corner_costs(self) -> CellCorners:
@@ -149,46 +145,40 @@ class CostToGoField:
         Returns:
             Lower bounds, and upper ones: ``inf`` where no path is known from all free points of the box.
         """
+        mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
-        for some in parts(np.ones(len(cell), np.int64), _BOXES_AT_ONCE):
-            below[some] = self._lowest(cell[some], lo[some], hi[some], corners[some])
-            above[some] = self._highest(cell[some], lo[some], hi[some], corners[some])
-        return below, above
-
-    def _lowest(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> Numbers:
-        space = self.program.space
-        lattice = space.lattice
-        at = lo[:, None] + (hi - lo)[:, None] * lattice
-        weights = basis(space.degree, at.reshape(-1, self.mesh.dim)).reshape(*at.shape[:2], -1)
-        control = np.einsum("nij,nj->ni", weights, self._nodal[cell]) @ to_bernstein(space.degree, self.mesh.dim).T
-        function = corners @ basis(1, lattice).T
-        highest = control.max(axis=1)
-        bent = self._rescaling(highest) - highest  # most where the value is largest
-        return (control - function).min(axis=1) + bent - self._spare[cell]
-
-    def _highest(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> Numbers:
-        """By straight motions to corners of the cell, whose costs are convex: the most is at a vertex of a part."""
-        mesh, dim = self.mesh, self.mesh.dim
-        lattice = np.array(list(product((0.0, 0.5, 1.0), repeat=dim)))
+        shares = np.array(list(product((0.0, 0.5, 1.0), repeat=dim)))
         middles = 0.25 + corner_bits(dim) / 2
-        vertices = np.stack([np.flatnonzero(np.all(np.abs(lattice - middle) <= 0.25, axis=1)) for middle in middles])
-        at = lo[:, None] + (hi - lo)[:, None] * lattice
-        function = corners @ basis(1, lattice).T
-        most = np.full((len(cell), len(vertices)), np.inf)
-        for corner, place in enumerate(corner_bits(dim)):
-            change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
-            straight = self.program.costs.of_motions(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
-            above = self._corner_costs[cell, corner, None] + straight - function
-            above[~self._sees[cell, corner]] = np.inf
-            most = np.minimum(most, above[:, vertices].max(axis=2))
-        x = mesh.fractions(cell[:, None], at)
-        for target in self._targets[:, cell]:
-            change = (self.paths.points[target, None] - x) * mesh.domain.width
-            straight = self.program.costs.motion.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
-            above = self.paths.cost[target, None] + straight - function
-            above[target < 0] = np.inf
-            most = np.minimum(most, above[:, vertices].max(axis=2))
-        return most.max(axis=1) + self._spare[cell]
+        vertices = np.stack([np.flatnonzero(np.all(np.abs(shares - middle) <= 0.25, axis=1)) for middle in middles])
+        for some in parts(np.ones(len(cell), np.int64), _BOXES_AT_ONCE):
+            c, spare = cell[some], self._spare[cell[some]]
+            # 1. Lower bounds: control values of the lower bound less the function are bounds of the difference.
+            at = lo[some, None] + (hi - lo)[some, None] * space.lattice
+            weights = basis(space.degree, at.reshape(-1, dim)).reshape(*at.shape[:2], -1)
+            control = np.einsum("nij,nj->ni", weights, self._nodal[c]) @ to_bernstein(space.degree, dim).T
+            function, highest = corners[some] @ basis(1, space.lattice).T, control.max(axis=1)
+            bent = np.interp(highest, *self._rescaling) - highest  # most where the value is largest
+            below[some] = (control - function).min(axis=1) + bent - spare
+            # 2. Upper bounds, by straight motions to corners of the cell or to its targets. Their costs are convex:
+            #    the most is at a vertex of a part of the box.
+            at = lo[some, None] + (hi - lo)[some, None] * shares
+            function = corners[some] @ basis(1, shares).T
+            most = np.full((len(c), len(vertices)), np.inf)
+            for corner, place in enumerate(corner_bits(dim)):
+                change = ((place - at) * mesh.widths[c][:, None]).reshape(-1, dim)
+                straight = self.program.costs.of_motions(change, np.repeat(c, at.shape[1])).reshape(at.shape[:2])
+                by_corner = self._corner_costs[c, corner, None] + straight - function
+                by_corner[~self._sees[c, corner]] = np.inf
+                most = np.minimum(most, by_corner[:, vertices].max(axis=2))
+            x = mesh.fractions(c[:, None], at)
+            for target in self._targets[:, c]:
+                change = (self.paths.points[target, None] - x) * mesh.domain.width
+                straight = self.program.costs.motion.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
+                by_target = self.paths.cost[target, None] + straight - function
+                by_target[target < 0] = np.inf
+                most = np.minimum(most, by_target[:, vertices].max(axis=2))
+            above[some] = most.max(axis=1) + spare
+        return below, above
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
@@ -227,7 +217,17 @@ class CostToGoField:
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
-        is_clear[~is_clear] = self._are_clear_beside(free[~is_clear])
+        # Of other free cells each part of what is beside them, in which a query may place points, has to be free or
+        # blocked. From a free part the shortest motion to the cell is free; beside a wall that is flush with the
+        # cell, the other parts are blocked.
+        beside = np.flatnonzero(~is_clear)
+        ends, axes = np.stack([lo, *mesh.boxes, hi])[:, free[beside]], np.arange(mesh.dim)
+        clear = np.ones(len(beside), bool)
+        for part in product(range(3), repeat=mesh.dim):
+            begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
+            some = np.flatnonzero((begin < end).all(axis=1))  # at the border of the domain there is nothing beside
+            clear[some] &= self.space.classify(begin[some], end[some]) != CellState.MIXED
+        is_clear[beside] = clear
         sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
         sees[free[is_clear]] = True
         if isinstance(self.space, SeesBoxes):
@@ -235,21 +235,6 @@ class CostToGoField:
             q = np.stack(mesh.boxes)[corner_bits(mesh.dim)[corner], cell[:, None], np.arange(mesh.dim)]
             sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
         return sees
-
-    def _are_clear_beside(self, cell: CellIndex) -> Bool[np.ndarray, "n"]:
-        """Whether beside free cells, where a query may place points in them, each part is free or blocked.
-
-        From a free part the shortest motion to the cell is free; beside a wall that is flush with the cell, the other
-        parts are blocked.
-        """
-        (lo, hi), (first, last) = self.mesh.boxes, self.mesh.grown_boxes
-        ends, axes = np.stack([first, lo, hi, last])[:, cell], np.arange(self.mesh.dim)
-        clear = np.ones(len(cell), bool)
-        for part in product(range(3), repeat=self.mesh.dim):
-            begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
-            some = np.flatnonzero((begin < end).all(axis=1))  # at the border of the domain there is nothing beside
-            clear[some] &= self.space.classify(begin[some], end[some]) != CellState.MIXED
-        return clear
 
 
 def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:

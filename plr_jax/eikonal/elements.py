@@ -32,6 +32,7 @@ class FunctionSpace:
     Attributes:
         mesh: The cells.
         degree: Degree of the polynomials along each axis.
+        lattice: The nodes of a cell, from 0 to 1 along each axis.
         values: Maps degrees of freedom to values at all nodes, numbered ``cell * nodes_of_cell + node``; 0 in blocked
             cells.
         points: Where each degree of freedom is, as a fraction of the domain.
@@ -40,14 +41,10 @@ class FunctionSpace:
 
     mesh: Mesh
     degree: int
+    lattice: Float[np.ndarray, "nodes dim"]
     values: csr_array
     points: Float[np.ndarray, "dofs dim"]
     node_of: Int[np.ndarray, "dofs"]
-
-    @property
-    def lattice(self) -> Float[np.ndarray, "nodes dim"]:
-        """The nodes of a cell, from 0 to 1 along each axis."""
-        return _lattice(self.degree, self.mesh.dim)
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
         """Maps degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
@@ -103,7 +100,7 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     """Build the space of the continuous functions on a mesh."""
-    lattice = _lattice(degree, mesh.dim)
+    lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Find the nodes that are one with a node of another cell, and those that hang on a cell, at a place in it.
     place = (degree + 1) ** np.arange(mesh.dim)[::-1]
@@ -162,11 +159,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     dofs = np.flatnonzero((node_of >= 0) & (resolved.diagonal() == 1))
     node_of = node_of[dofs]
     points = mesh.fractions(node_of // size, lattice[node_of % size])
-    return FunctionSpace(mesh, degree, csr_array(resolved[group][:, dofs]), points, node_of)
-
-
-def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:
-    return np.array(list(product(np.arange(degree + 1) / degree, repeat=dim)))
+    return FunctionSpace(mesh, degree, lattice, csr_array(resolved[group][:, dofs]), points, node_of)
 
 
 def _interpolation(degree: int, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"], nodes: int) -> csr_array:

@@ -135,38 +135,33 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     return CellCosts(motion, cost_map, lower, upper, slope, least, most)
 
 
-@dataclass(frozen=True, eq=False)
-class Rescaling:
-    """Bends values down, level by level, so that slopes that are a little too steep no longer are.
+def rescaling_of(
+    lowest: Numbers, highest: Numbers, factor: Numbers
+) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
+    """Return a function that bends values down, level by level, so that slopes that are a little too steep are not.
 
     Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
     values by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther
     from the goal only moves down by what is lost. That is far less than dividing everything by the largest factor.
 
-    Attributes:
-        level: Where the pieces of the piecewise linear function meet, ascending.
-        value: The function there: 0 at 0, rising by at most one unit a unit.
+    Args:
+        lowest: The lowest value in each cell.
+        highest: The highest value in each cell.
+        factor: The factor of each cell.
+
+    Returns:
+        Where the pieces of the piecewise linear function meet, ascending; and the function there: 0 at 0, rising by
+        at most one unit a unit.
     """
-
-    level: Float[np.ndarray, "levels"]
-    value: Float[np.ndarray, "levels"]
-
-    @classmethod
-    def of(cls, lowest: Numbers, highest: Numbers, factor: Numbers) -> "Rescaling":
-        """Divide slopes by a factor, where it is above 1, in cells of given lowest and highest values."""
-        order = np.argsort(factor, kind="stable")
-        order = order[factor[order] > 1]
-        level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
-        steepest = np.ones(len(level) - 1)
-        first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-        for cell in order.tolist():  # the steepest last
-            steepest[first[cell] : last[cell]] = factor[cell]
-        value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
-        return cls(level, value - np.interp(0.0, level, value))
-
-    def __call__(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Bend values down."""
-        return np.interp(u, self.level, self.value)
+    order = np.argsort(factor, kind="stable")
+    order = order[factor[order] > 1]
+    level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
+    steepest = np.ones(len(level) - 1)
+    first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
+    for cell in order.tolist():  # the steepest last
+        steepest[first[cell] : last[cell]] = factor[cell]
+    value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
+    return level, value - np.interp(0.0, level, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,13 +305,13 @@ class SlopeProgram:
         """Mean control vectors of open cells, in the coordinates of the sets."""
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
-    def rescaling(self, u: Dofs) -> Rescaling:
-        """Return what makes values, 0 at the goal, satisfy the constraints, rounding included."""
+    def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
+        """Return a :func:`rescaling_of` values, 0 at the goal, that satisfies the constraints, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
         factor = (1 + ROUNDING) * self.sets.factors(self.gradients(u)).reshape(control.shape).max(axis=1)
-        return Rescaling.of(control.min(axis=1), control.max(axis=1), factor)
+        return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         """What the flow through each open cell costs at the most, less what it gains in value; all of it if mixed.
@@ -371,7 +366,7 @@ class SlopeProgram:
             if iteration % _LOOK_EVERY:
                 continue
             u = state.u - self.goal @ state.u
-            value = float(self.weight @ self.rescaling(u)(u))
+            value = float(self.weight @ np.interp(u, *self.rescaling(u)))
             if value > (1 + _GAIN) * highest:
                 best, highest, found = state.iterate, value, iteration
             elif iteration >= found + _PATIENCE:

@@ -114,7 +114,13 @@ def solve_eikonal(
         )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
     check_memory(2.0 * most, _BYTES_A_CELL[certified] / 2)
-    at = _fraction(space, goal)
+    domain, goal = space.domain, as_finite_point("goal", goal)
+    if goal.shape != (domain.dim,):
+        raise ValueError(f"goal must have {domain.dim} coordinates, as the space has axes, got {goal.size}.")
+    at = (domain.wrapped(goal[None])[0] - domain.lo) / domain.width
+    if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not as_booleans("is_free", space.is_free(goal[None]), 1)[0]:
+        raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
+    at = np.clip(at, 0.0, 1.0)
     is_proven = isinstance(space, ConfigurationSpace)
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if certified:
@@ -142,18 +148,6 @@ def solve_eikonal(
     ):
         return plr
     return plr_of_bytes(estimate, int(most_bytes), int(seed), proven)
-
-
-def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    """The goal as a fraction of the domain; ``ValueError`` if one cannot be there."""
-    domain = space.domain
-    goal = as_finite_point("goal", goal)
-    if goal.shape != (domain.dim,):
-        raise ValueError(f"goal must have {domain.dim} coordinates, as the space has axes, got {goal.size}.")
-    at = (domain.wrapped(goal[None])[0] - domain.lo) / domain.width
-    if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not as_booleans("is_free", space.is_free(goal[None]), 1)[0]:
-        raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
-    return np.clip(at, 0.0, 1.0)
 
 
 def _field(
@@ -251,7 +245,17 @@ class SlopeSolver:
             coarse = self.mesh
             finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goal)
             fine = finer.space.mesh
-            iterate = _prolonged(self.program, self.iterate, finer)
+            # The same function and flow on the finer mesh.
+            space, size = finer.space, len(finer.space.lattice)
+            inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
+            x = fine.fractions(space.node_of // size, inset)
+            cell = coarse.locate(x)
+            values = self.program.space.interpolation(cell, coarse.local(cell, x)) @ self.iterate.values
+            parent = coarse.locate(fine.fractions(fine.open_cells, np.full(fine.dim, 0.5)))
+            place = np.zeros(len(coarse.state), np.int64)
+            place[coarse.open_cells] = np.arange(len(coarse.open_cells))
+            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent]]
+            iterate = Iterate(values, np.repeat(flow, size, axis=1))
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
@@ -311,21 +315,6 @@ class SlopeSolver:
         if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
             left = int(_SHARE * left)  # where walls are open still, the next flow finds what is open then
         return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
-
-
-def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> Iterate:
-    """The same function and flow on a finer mesh."""
-    space, mesh = fine.space, coarse.space.mesh
-    size = len(space.lattice)
-    inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
-    x = space.mesh.fractions(space.node_of // size, inset)
-    cell = mesh.locate(x)
-    values = coarse.space.interpolation(cell, mesh.local(cell, x)) @ iterate.values
-    parent = mesh.locate(space.mesh.fractions(space.mesh.open_cells, np.full(mesh.dim, 0.5)))
-    place = np.full(len(mesh.state), 0)
-    place[mesh.open_cells] = np.arange(len(mesh.open_cells))
-    flow = iterate.flow.reshape(coarse.dim, -1, size).mean(axis=2)[:, place[parent]]
-    return Iterate(values, np.repeat(flow, size, axis=1))
 
 
 # Samples of a box, beside the corners and the center, and of a motion.

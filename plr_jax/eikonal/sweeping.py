@@ -111,16 +111,9 @@ class CostGrid(NamedTuple):
     is_free: Bool[Array, "half *shape"]
 
 
-class Swept(NamedTuple):
-    """The cost-to-go on a grid.
-
-    Attributes:
-        ratio: Over what the straight motion to the goal would cost, at each node; ``inf`` where no way was found.
-        way: The motion from each node, along each axis, in steps of the grid.
-    """
-
-    ratio: Nodes
-    way: Float[Array, "dim *shape"]
+Swept = tuple[Nodes, Float[Array, "dim *shape"]]
+"""The cost-to-go over that of the straight motion to the goal, at each node, ``inf`` where no way was found; and the
+motion from each node, along each axis, in steps of the grid."""
 
 
 def half_offsets(dim: int) -> list[Offset]:
@@ -141,7 +134,7 @@ def sweep(start: Swept, grid: CostGrid, metric: GridMetric) -> Swept:
         new = old
         for axis in range(metric.dim):
             new = _swept_along(new, grid, is_free, metric, axis)
-        has_changed = jnp.any(jnp.isfinite(new.ratio) & ~(old.ratio - new.ratio <= _SETTLED * new.ratio))
+        has_changed = jnp.any(jnp.isfinite(new[0]) & ~(old[0] - new[0] <= _SETTLED * new[0]))
         return new, rounds + 1, has_changed
 
     state = start, 0, jnp.array(True)
@@ -166,8 +159,8 @@ def _swept_along(
     def by_planes(values: Array) -> Array:
         return jnp.moveaxis(values, values.ndim - metric.dim + axis, 0)
 
-    (ratio, way), costs = jax.tree.map(by_planes, (tuple(state), grid.costs))
-    to_goal = [jnp.arange(n) * h - x for n, h, x in zip(state.ratio.shape, grid.spacing, grid.goal, strict=True)]
+    (ratio, way), costs = jax.tree.map(by_planes, (state, grid.costs))
+    to_goal = [jnp.arange(n) * h - x for n, h, x in zip(state[0].shape, grid.spacing, grid.goal, strict=True)]
     across = jnp.meshgrid(*to_goal[:axis], *to_goal[axis + 1 :], indexing="ij")
     wraps = [*metric.periodic[:axis], *metric.periodic[axis + 1 :]]
     for step in (-1, 1):  # to the plane before
@@ -178,8 +171,24 @@ def _swept_along(
             ratio_before, costs_before = before
             (old, old_way), costs_here, may_go, x = here
             place = [*across[:axis], x, *across[axis:]]
-            plane = _PlaneBefore.of(ratio_before, costs_before, may_go, sides, wraps)
-            new, new_way = _cheapest(metric, axis, grid, place, costs_here, np.array(offsets), plane)
+            # What the nodes find in the plane before: at the nodes around, side by side, and second differences of
+            # the ratio along each axis of the plane, at the node before and on its two sides.
+            around = jnp.stack([_at(side, ratio_before, jnp.inf, wraps) for side in sides])
+            around = jnp.where(may_go, around, jnp.inf)
+            factor = jnp.stack([_at(side, costs_before.factor, 1.0, wraps) for side in sides])
+            pulls = costs_before.pulls
+            if pulls is not None:
+                pulls = jnp.stack([_at(side, pulls, 0.0, wraps) for side in sides], axis=2)
+            bends = []
+            for each in range(len(wraps)):
+                unit = tuple(int(other == each) for other in range(len(wraps)))
+                back = tuple(-step for step in unit)
+                bend = _at(unit, ratio_before, jnp.inf, wraps) + _at(back, ratio_before, jnp.inf, wraps)
+                bend = bend - 2 * ratio_before
+                bend = jnp.where(jnp.isfinite(bend), bend, 0.0)
+                bends.append({0: bend, 1: _at(unit, bend, 0.0, wraps), -1: _at(back, bend, 0.0, wraps)})
+            before = around, NodeCosts(factor, pulls), bends
+            new, new_way = _cheapest(metric, axis, grid, place, costs_here, np.array(offsets), before)
             gains = new < old
             new = jnp.where(gains, new, old)
             return (new, costs_here), (new, jnp.where(gains, new_way, old_way))
@@ -190,45 +199,7 @@ def _swept_along(
         may_go = jnp.stack([by_planes(is_free[each]) for each in offsets], axis=1)
         planes = (ratio, way), costs, may_go, to_goal[axis]
         _, (ratio, way) = lax.scan(updated, start, planes, reverse=step > 0)
-    return Swept(jnp.moveaxis(ratio, 0, axis), jnp.moveaxis(way, 0, axis + 1))
-
-
-class _PlaneBefore(NamedTuple):
-    """What the nodes of a plane find in the one before.
-
-    Attributes:
-        ratio: Of the nodes around there, side by side; ``inf`` where no motion leads to.
-        costs: Of motions at these.
-        bends: Second differences of the ratio along each axis of the plane, at the node before and on its two sides.
-    """
-
-    ratio: Float[Array, "sides *plane"]
-    costs: NodeCosts
-    bends: list[dict[int, Plane]]
-
-    @classmethod
-    def of(
-        cls,
-        ratio: Plane,
-        costs: NodeCosts,
-        may_go: Bool[Array, "sides *plane"],
-        sides: Sequence[Offset],
-        wraps: Sequence[bool],
-    ) -> "_PlaneBefore":
-        """That of a plane, to which some motions lead."""
-        around = jnp.where(may_go, jnp.stack([_at(side, ratio, jnp.inf, wraps) for side in sides]), jnp.inf)
-        factor = jnp.stack([_at(side, costs.factor, 1.0, wraps) for side in sides])
-        pulls = costs.pulls
-        if pulls is not None:
-            pulls = jnp.stack([_at(side, pulls, 0.0, wraps) for side in sides], axis=2)
-        bends = []
-        for axis in range(len(wraps)):
-            unit = tuple(int(each == axis) for each in range(len(wraps)))
-            back = tuple(-step for step in unit)
-            bend = _at(unit, ratio, jnp.inf, wraps) + _at(back, ratio, jnp.inf, wraps) - 2 * ratio
-            bend = jnp.where(jnp.isfinite(bend), bend, 0.0)
-            bends.append({0: bend, 1: _at(unit, bend, 0.0, wraps), -1: _at(back, bend, 0.0, wraps)})
-        return cls(around, NodeCosts(factor, pulls), bends)
+    return jnp.moveaxis(ratio, 0, axis), jnp.moveaxis(way, 0, axis + 1)
 
 
 def _cheapest(
@@ -238,7 +209,7 @@ def _cheapest(
     place: Sequence[Array],
     costs: NodeCosts,
     offsets: Int[np.ndarray, "sides dim"],
-    before: _PlaneBefore,
+    before: tuple[Float[Array, "sides *plane"], NodeCosts, list[dict[int, Plane]]],
 ) -> tuple[Plane, Float[Array, "dim *plane"]]:
     """What the best motions from the nodes of a plane to the one before lead to, and these motions.
 
@@ -249,12 +220,14 @@ def _cheapest(
         place: Where the nodes are from the goal, along each axis.
         costs: Of motions there.
         offsets: To the nodes around in the plane before.
-        before: What is known of these.
+        before: The ratio at these, ``inf`` where no motion leads to; costs of motions there; and second differences
+            of the ratio along each axis of the plane, by side.
 
     Returns:
         The cost-to-go over that of the straight motion to the goal, and the motions in steps along each axis.
     """
     axes, shape, spacing = range(metric.dim), jnp.shape(costs.factor), grid.spacing
+    around, costs_before, bends_before = before
 
     def total(steps, ratio, costs_there):
         change = [spacing[axis] * steps[axis] for axis in axes]
@@ -263,12 +236,12 @@ def _cheapest(
         )
 
     # To one of the nodes.
-    pulls = before.costs.pulls
+    pulls = costs_before.pulls
     if pulls is not None and costs.pulls is not None:
         pulls = (costs.pulls[:, :, None] + pulls) / 2
-    beside = NodeCosts((costs.factor + before.costs.factor) / 2, pulls)
+    beside = NodeCosts((costs.factor + costs_before.factor) / 2, pulls)
     steps = offsets.T.reshape(metric.dim, -1, *[1] * len(shape)).astype(np.float32)
-    totals = total(steps, before.ratio, beside)
+    totals = total(steps, around, beside)
     best = jnp.argmin(totals, axis=0)
     least, way = jnp.min(totals, axis=0), jnp.asarray(steps.reshape(metric.dim, -1))[:, best]
 
@@ -277,16 +250,20 @@ def _cheapest(
     row = {tuple(offset): number for number, offset in enumerate(offsets.tolist())}
     center = [int(offsets[0, axis]) if axis == across else 0 for axis in axes]
     middle = row[tuple(center)]
-    is_known = jnp.isfinite(before.ratio[middle])
-    ratio = jnp.where(is_known, before.ratio[middle], 0.0)
+    is_known = jnp.isfinite(around[middle])
+    ratio = jnp.where(is_known, around[middle], 0.0)
     at_middle = _row(beside, middle, len(shape))
     lines = {}
-    for axis, bends in zip([each for each in axes if each != across], before.bends, strict=True):
+    for axis, bends in zip([each for each in axes if each != across], bends_before, strict=True):
         ends = {side: row[tuple(side if each == axis else center[each] for each in axes)] for side in (1, -1)}
-        has = {side: jnp.isfinite(before.ratio[end]) for side, end in ends.items()}
+        has = {side: jnp.isfinite(around[end]) for side, end in ends.items()}
         both = has[1] & has[-1]
-        rises = {side: jnp.where(has[side], before.ratio[end] - ratio, 0.0) for side, end in ends.items()}
-        halves = {side: jnp.where(both, _lesser(bends[0], bends[side]) / 2, 0.0) for side in ends}
+        rises = {side: jnp.where(has[side], around[end] - ratio, 0.0) for side, end in ends.items()}
+        # Half the bend nearer 0, or 0 if they are opposite: where ratios have a kink they are straight lines.
+        lesser = {side: jnp.where(jnp.abs(bends[0]) < jnp.abs(bends[side]), bends[0], bends[side]) for side in ends}
+        halves = {
+            side: jnp.where(both, jnp.where(bends[0] * bends[side] > 0, lesser[side], 0.0) / 2, 0.0) for side in ends
+        }
         share = 1 / jnp.maximum(has[1] + 1.0 * has[-1], 1.0)
         costs_rise = jax.tree.map(
             lambda middle, up, down, has=has, share=share: (
@@ -301,10 +278,27 @@ def _cheapest(
         jax.tree.map(lambda of, extreme=extreme: extreme(of, axis=-1 - len(shape)), beside)
         for extreme in (jnp.min, jnp.max)
     )
-    twist = _Twist.of(before.ratio, ratio, lines, center, row)
+    # What the ratio changes by between two axes of the plane, beside what it does along each: bilinear by quadrant.
+    # Where no motion leads to the node across, the ratio there is taken for the larger one beside it: it is never
+    # less than that of all nodes around.
+    quadrants, pair = {}, list(lines)
+    for sides in product((1, -1), repeat=2) if len(pair) == 2 else ():
+        at = dict(zip(pair, sides, strict=True))
+        ratio_across = around[row[tuple(at.get(axis, step) for axis, step in enumerate(center))]]
+        rises = [lines[axis].rises[side] for axis, side in at.items()]
+        ratio_across = jnp.where(jnp.isfinite(ratio_across), ratio_across, ratio + jnp.maximum(*rises))
+        quadrants[sides] = ratio_across - ratio - sum(rises)
+
+    def twist_slope(steps, axis):
+        if not quadrants:
+            return 0.0
+        a, b = (steps[each] for each in pair)
+        up, down = (jnp.where(b > 0, quadrants[side, 1], quadrants[side, -1]) for side in (1, -1))
+        own, other = (a, b) if axis == pair[0] else (b, a)
+        return jnp.sign(own) * jnp.abs(other) * jnp.where(a > 0, up, down)
 
     def interpolated(steps):
-        value, cost = ratio + twist.change(steps), at_middle
+        value, cost = ratio + (steps[pair[0]] * twist_slope(steps, pair[0]) if quadrants else 0.0), at_middle
         for axis, line in lines.items():
             value = value + line.change(steps[axis])
             cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, line.costs_rise)
@@ -319,7 +313,7 @@ def _cheapest(
         straight, new, closer = grid.straight.of(metric, end), list(steps), {}
         for axis, line in lines.items():
             h, (slope, bend) = spacing[axis], line.derivatives(steps[axis])
-            slope = slope + twist.slope(steps, axis)
+            slope = slope + twist_slope(steps, axis)
             of_end, of_cost = grid.straight.derivatives(metric, end, axis), cost.derivatives(metric, change, axis)
             first = slope * straight + h * (of_cost[0] - value * of_end[0]) + line.costs_rise.of(metric, change)
             second = bend * straight - 2 * slope * h * of_end[0] + h**2 * (value * of_end[1] + of_cost[1])
@@ -372,63 +366,8 @@ class _Line(NamedTuple):
         return slope, 2 * jnp.where(step > 0, self.halves[1], self.halves[-1])
 
 
-class _Twist(NamedTuple):
-    """What the ratio changes by between two axes of a plane, beside what it does along each: bilinear by quadrant.
-
-    Where no motion leads to the node across, the ratio there is taken for the larger one beside it: it is never less
-    than that of all nodes around.
-
-    Attributes:
-        axes: The two axes; none, where the plane has one.
-        quadrants: By side along both, what it is at the node across.
-    """
-
-    axes: tuple[int, ...]
-    quadrants: dict[tuple[int, int], Plane]
-
-    @classmethod
-    def of(
-        cls,
-        around: Float[Array, "sides *plane"],
-        middle: Plane,
-        lines: dict[int, _Line],
-        center: Sequence[int],
-        row: dict[tuple[int, ...], int],
-    ) -> "_Twist":
-        """That of the ratios of nodes around one, of which the middle one is known."""
-        if len(lines) < 2:
-            return cls((), {})
-        (a, along_a), (b, along_b) = lines.items()
-        quadrants = {}
-        for sides in product((1, -1), repeat=2):
-            place = dict(zip((a, b), sides, strict=True))
-            across = around[row[tuple(place.get(axis, step) for axis, step in enumerate(center))]]
-            rises = along_a.rises[sides[0]], along_b.rises[sides[1]]
-            across = jnp.where(jnp.isfinite(across), across, middle + jnp.maximum(*rises))
-            quadrants[sides] = across - middle - sum(rises)
-        return cls((a, b), quadrants)
-
-    def change(self, steps: Sequence[Plane]) -> Any:
-        """What the ratio changes by."""
-        return 0.0 if not self.axes else steps[self.axes[0]] * self.slope(steps, self.axes[0])
-
-    def slope(self, steps: Sequence[Plane], axis: int) -> Any:
-        """The derivative along an axis."""
-        if not self.axes:
-            return 0.0
-        a, b = (steps[each] for each in self.axes)
-        up, down = (jnp.where(b > 0, self.quadrants[side, 1], self.quadrants[side, -1]) for side in (1, -1))
-        other = b if axis == self.axes[0] else a
-        return jnp.sign(a if axis == self.axes[0] else b) * jnp.abs(other) * jnp.where(a > 0, up, down)
-
-
 def _row(costs: NodeCosts, row: int, dim: int) -> NodeCosts:
     return jax.tree.map(lambda of: of[..., row, *[slice(None)] * dim], costs)
-
-
-def _lesser(a: Plane, b: Plane) -> Plane:
-    """Of two bends the one nearer 0, or 0 if they are opposite: where ratios have a kink they are straight lines."""
-    return jnp.where(a * b > 0, jnp.where(jnp.abs(a) < jnp.abs(b), a, b), 0.0)
 
 
 def _to_goal(
