@@ -2,9 +2,9 @@
 
 In the plane (:func:`construct_pairs`) a cell lists the corners at which paths from it may turn first, as
 ``geometry/cell_sight.py`` finds them. The module `construct` builds the lists, and `stored` holds the layout of the
-file. The module `query` searches the tables in JAX; `portable` does so without JAX. The module `near_walls` finds the
-walls between a cell and a corner, `occluders` the chords of obstacles that hide most points. :class:`PreparedGoals`
-store the distances of goals that are queried many times. On grids (:func:`construct_grid_pairs`) distances are exact:
+file. The module `query` searches the tables in JAX; `portable` does so without JAX. The module `hiding` finds the
+walls between a cell and a corner, and the chords of obstacles that hide most points. :class:`PreparedGoals` store the
+distances of goals that are queried many times. On grids (:func:`construct_grid_pairs`) distances are exact:
 see ``GRIDS.md``.
 """
 

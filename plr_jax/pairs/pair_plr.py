@@ -25,7 +25,6 @@ from plr_jax.pairs.query import (
     distances_to_corners,
     is_inside,
     shortest_ways,
-    ways_to_goals,
 )
 from plr_jax.pairs.stored import Stored
 from plr_jax.plr._plr import PLR
@@ -113,9 +112,25 @@ class PairPLR(HeldFile):
             ValueError: If points do not have two coordinates, are not real, or do not broadcast, or ``outside`` is
                 none of the three.
         """
-        if isinstance(y, PreparedGoals):
-            return self._to_prepared(x, y, as_outside(outside))
-        return self._answered(partial(_distances, outside=as_outside(outside)), x, y)[0]
+        outside = as_outside(outside)
+        if not isinstance(y, PreparedGoals):
+            return self._answered(partial(_distances, outside=outside), x, y)[0]
+        x, batch = self._from_middle("x", x), y.points.shape[:-1]
+        _require_broadcast("x and goals", x, y.points)
+        size, corners = y.to_corners.shape[-1], len(self.tables.distances)
+        if size != corners:
+            raise ValueError(
+                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size}: call the "
+                "prepared of these."
+            )
+        if not prod(batch):
+            return jnp.zeros(np.broadcast_shapes(x.shape[:-1], batch), jnp.float32)
+        number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
+        answer = partial(_distances_to, self.tables, y, outside=outside)
+        if not is_on_one_host(x, y.points, self.tables.walls):
+            return answer(x, number)[0]
+        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
+        return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Goals that are asked for many times, as second points of a call.
@@ -137,26 +152,8 @@ class PairPLR(HeldFile):
         goals = self._from_middle("goals", goals)
         points = jnp.asarray(goals, jnp.float32)
         (inside,), shape, _ = _checked(self.tables, points)
-        to_corners = _to_corners(self.tables, jax.lax.stop_gradient(inside))
+        to_corners = distances_to_corners(self.tables, jax.lax.stop_gradient(inside))
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
-
-    def _to_prepared(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
-        x, batch = self._from_middle("x", x), goals.points.shape[:-1]
-        _require_broadcast("x and goals", x, goals.points)
-        size, corners = goals.to_corners.shape[-1], len(self.tables.distances)
-        if size != corners:
-            raise ValueError(
-                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size}: call the "
-                "prepared of these."
-            )
-        if not prod(batch):
-            return jnp.zeros(np.broadcast_shapes(x.shape[:-1], batch), jnp.float32)
-        number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
-        answer = partial(_distances_to, self.tables, goals, outside=outside)
-        if not is_on_one_host(x, goals.points, self.tables.walls):
-            return answer(x, number)[0]
-        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
-        return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance between points of free space.
@@ -230,15 +227,11 @@ class PairPLR(HeldFile):
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
         if isinstance(x, np.ndarray) and not isinstance(self.file, Tracer):
-            return x - self._middle
+            return x - (self.domain.lo + self.domain.hi) / 2
         x = jnp.asarray(x)
         require_resolved(x.dtype, self.tables.unresolved)
         first, rest = (jnp.broadcast_to(part, x.shape) for part in self.tables.middle)
         return (x - first) - rest
-
-    @cached_property
-    def _middle(self) -> Float[np.ndarray, "2"]:
-        return (self.domain.lo + self.domain.hi) / 2
 
     @cached_property
     def stored(self) -> Stored:
@@ -329,11 +322,6 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
 
-@jax.jit
-def _to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
-    return distances_to_corners(tables, points)
-
-
 @partial(jax.jit, static_argnames="outside")
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
@@ -346,7 +334,7 @@ def _distances_to(
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
     (x, y), shape, answer = _checked(tables, x, points[number])
     single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
-    ways = ways_to_goals(tables, jax.lax.stop_gradient(to_corners), single, end, number.ravel())
+    ways = shortest_ways(tables, single, end, jax.lax.stop_gradient(to_corners), number.ravel())
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
     via, length = ways.from_x.astype(x.dtype), ways.length.astype(x.dtype)
@@ -365,7 +353,8 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     least = shortest_ways(tables, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point nearer to a wall may pass behind those that are moved into free space.
-    free = tables.in_free_space
+    listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)
+    free = replace(tables, walls=tables.proud_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(free, x) & is_inside(free, y)
     length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)

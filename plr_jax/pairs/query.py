@@ -24,8 +24,7 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.near_walls import NearWalls
-from plr_jax.pairs.occluders import occluders_of
+from plr_jax.pairs.hiding import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
 from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.frame import unresolved_types
@@ -76,7 +75,7 @@ class PairTables:
         rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
             that of distances by way of the proud corners, which is larger.
         unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
-        is_certain: Whether what counts as a way is certainly free, see :attr:`in_free_space`.
+        is_certain: Whether what counts as a way is certainly free.
     """
 
     partition: Tables
@@ -96,12 +95,6 @@ class PairTables:
     rounding: Float[Array, "2"]
     unresolved: tuple[str, ...] = field(metadata={"static": True})
     is_certain: bool = field(default=False, metadata={"static": True})
-
-    @property
-    def in_free_space(self) -> "PairTables":
-        """The same, but what counts as a way is certainly free."""
-        x, y = (along[self.listed] for along in self.proud_corners.T)
-        return replace(self, walls=self.proud_walls, near=None, x=x, y=y, is_certain=True)
 
 
 def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
@@ -165,7 +158,7 @@ def _ways_to_leaves(
     """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
     rows, longest = listed.shape
     size = len(distances)
-    last_bits = _last_bits_of(size)
+    last_bits = np.uint32(padded_size(size) - 1)
 
     def of_leaves(leaves):
         corners, near = leaves
@@ -190,11 +183,6 @@ def _ways_to_leaves(
     return jax.lax.map(of_leaves, tuple(parts)).reshape(rows, size)
 
 
-def _last_bits_of(size: int) -> np.uint32:
-    """Return the bits of a number that tell so many corners apart."""
-    return np.uint32(padded_size(size) - 1)
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PreparedGoals:
@@ -209,6 +197,7 @@ class PreparedGoals:
     to_corners: Float[Array, "*batch size"]
 
 
+@jax.jit
 def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
     """Return the length of the shortest path from points to each corner, straight or by the corners listed."""
     leaf = lookup(tables.partition, points)
@@ -286,23 +275,23 @@ class Ways:
     from_y: Float[Array, "n 2"]
 
 
-def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    """Find shortest paths between points of the domain, counted from its middle; alike either way round."""
+def shortest_ways(
+    tables: PairTables,
+    x: Float[Array, "n 2"],
+    y: Float[Array, "n 2"],
+    to_corners: Float[Array, "goals size"] | None = None,
+    goal: UInt32[Array, "n"] | None = None,
+) -> Ways:
+    """Find shortest paths between points of the domain, counted from its middle; alike either way round.
+
+    If there are prepared goals, the second points are the goals of some numbers.
+    """
+    if goal is not None:
+        return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
     ways = _part_by_part(partial(_ways, tables, None), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
     return replace(ways, from_x=from_x, from_y=from_y)
-
-
-def ways_to_goals(
-    tables: PairTables,
-    to_corners: Float[Array, "goals size"],
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
-    goal: UInt32[Array, "n"],
-) -> Ways:
-    """Find shortest paths from points to prepared goals of some numbers."""
-    return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
 
 
 def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
@@ -330,7 +319,7 @@ def _ways(
     if to_corners is not None and goal is not None:
         onward = _at(to_corners.ravel(), goal[:, None] * size + listed)
     else:
-        leaf_y, last_bits = lookup(tables.partition, y), _last_bits_of(size)
+        leaf_y, last_bits = lookup(tables.partition, y), np.uint32(padded_size(size) - 1)
         packed = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
         last, other = packed & last_bits, jax.lax.bitcast_convert_type(packed & ~last_bits, jnp.float32)
         dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))

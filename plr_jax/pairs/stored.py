@@ -19,7 +19,7 @@ Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between t
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,10 +32,6 @@ from plr_jax.geometry.vectors import left_normal
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
-
-if TYPE_CHECKING:
-    pass
-
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
 _OF_CONTACTS = 1 / 16  # times as far do contacts move back
@@ -75,15 +71,10 @@ class Outline:
         return following
 
     @cached_property
-    def _is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Points at which free space touches itself."""
-        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
-        return count[index] > 1
-
-    @cached_property
     def stays(self) -> Bool[np.ndarray, "points"]:
-        """Points that hardly move when walls move back: contacts that no path may squeeze through."""
-        return self._is_contact & (not self.may_squeeze)
+        """Points that hardly move when walls move back: contacts of free space that no path may squeeze through."""
+        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
+        return (count[index] > 1) & (not self.may_squeeze)
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
@@ -111,8 +102,16 @@ class Outline:
         import shapely
 
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
-        _require_few_crossings(ends)
-        walls: Any = shapely.union_all(shapely.linestrings(ends))
+        lines: Any = shapely.linestrings(ends)
+        tree: Any = shapely.STRtree(lines)
+        points: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
+        for each, predicate, most in ((lines, "crosses", 2 * len(lines)), (points, "intersects", 3 * len(lines))):
+            meetings = 0
+            for begin in range(0, len(each), _WALLS_AT_ONCE):
+                meetings += tree.query(each[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
+                if meetings > most:
+                    raise ValueError(f"the {len(lines):,} walls of its outline cross one another too often")
+        walls: Any = shapely.union_all(lines)
         faces: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
         px, py = shapely.get_coordinates(shapely.point_on_surface(faces)).T[:, :, None]
         (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
@@ -167,21 +166,6 @@ class Outline:
         body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
         for along in self.points.T:
             body.write_signed(np.diff(along, prepend=0))
-
-
-def _require_few_crossings(ends: Float[np.ndarray, "walls 2 2"]) -> None:
-    """Raise ``ValueError`` where walls meet beside their ends more often than there are walls."""
-    import shapely
-
-    walls: Any = shapely.linestrings(ends)
-    tree: Any = shapely.STRtree(walls)
-    of_ends: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
-    for each, predicate, most in ((walls, "crosses", 2 * len(walls)), (of_ends, "intersects", 3 * len(walls))):
-        meetings = 0
-        for begin in range(0, len(each), _WALLS_AT_ONCE):
-            meetings += tree.query(each[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
-            if meetings > most:
-                raise ValueError(f"the {len(walls):,} walls of its outline cross one another too often")
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
@@ -278,7 +262,16 @@ class Stored:
         first.write_set(is_corner)
         first.write_set(is_joined)
         write_tree(lists, self.tree)
-        _write_lists(lists, self.tree, self.leaf, self.listed, count)
+        # Each node lists what its halves list together, and is written as what it does not list of its parent's.
+        tree = self.tree
+        of_node = np.zeros((len(tree.child), count), bool)
+        of_node[tree.node_of_leaf[self.leaf], self.listed] = True
+        for split in reversed(tree.splits):
+            of_node[split] = of_node[tree.child[split]] | of_node[tree.child[split] + 1]
+        lists.write_set(~of_node[0])
+        for split in filter(len, tree.splits):
+            inherited, own = of_node[np.repeat(split, 2)], of_node[tree.halves(split)]
+            lists.write_set(~own[inherited])
         layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in (first, lists))
         return Container(self.domain, layers, label=self.label).to_bytes()
 
@@ -341,28 +334,6 @@ def _read_rounding(body: BitReader) -> float:
     if not 0 <= rounding < np.inf:
         raise ValueError(f"its distances err by {rounding}")
     return rounding
-
-
-def listed_by_nodes(tree: Tree, is_listed: Bool[np.ndarray, "leaves corners"]) -> Bool[np.ndarray, "nodes corners"]:
-    """The corners that all leaves of each node list together."""
-    of_node = np.zeros((len(tree.child), is_listed.shape[1]), bool)
-    of_node[tree.node_of_leaf] = is_listed
-    for split in reversed(tree.splits):
-        of_node[split] = of_node[tree.child[split]] | of_node[tree.child[split] + 1]
-    return of_node
-
-
-def _write_lists(
-    body: BitWriter, tree: Tree, leaf: Int[np.ndarray, "entries"], listed: Int[np.ndarray, "entries"], count: int
-) -> None:
-    """Append the leaves' lists, each node's as what its halves do not list."""
-    is_listed = np.zeros((len(tree.node_of_leaf), count), bool)
-    is_listed[leaf, listed] = True
-    of_node = listed_by_nodes(tree, is_listed)
-    body.write_set(~of_node[0])
-    for split in filter(len, tree.splits):
-        inherited, own = of_node[np.repeat(split, 2)], of_node[tree.halves(split)]
-        body.write_set(~own[inherited])
 
 
 def _read_lists(

@@ -1,0 +1,256 @@
+"""What hides points from one another: walls near a leaf that lists a corner, and occluders.
+
+Walls that may hide a corner from somewhere in a leaf that lists it are between the two. They are few, as most corners
+are seen from all of the leaf. What is not between a larger box and a corner is not between a part of it and the
+corner. So walls are ruled out for runs of leaves first, and then for ever shorter ones.
+
+Occluders are a few long chords of obstacles that hide most points from one another. A line that crosses a chord
+inside an obstacle is blocked, whatever the walls are. A few dozen chords stand for most walls. The chords that hide
+most of some random pairs of points are chosen, as long as each saves more time than its own test takes.
+"""
+
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from plr_jax._arrays import padded, padded_size, parts, run_members, runs, size_in_eighths
+from plr_jax.geometry.box import Box
+
+_RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in the tree's traversal
+_STEP = 4
+_COST = 4  # of all walls, as many are tested in the time of one that is read for each point
+_AT_ONCE = 2**14  # pairs of an entry and a wall
+_BLOCK = 2**20  # pairs of a corner and a wall: of as many corners, the walls near all entries are found together
+_MOST_TESTS = 2**25  # of a block, in one round
+_MOST_PAIRS = 2**24  # of an entry and a wall near it
+_PAIRS = 2**12  # random pairs of points, among which hidden pairs are counted
+_MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords of an obstacle that are tried
+_CLEAR = 2e-6  # widths of the domain: rounding may put a point that is nearer across an occluder's line
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class NearWalls:
+    """Walls near each entry of the leaves' lists, one entry's behind the other's.
+
+    Attributes:
+        ends: Ends of the walls, a row a coordinate.
+        first: Where those of each entry begin.
+        most: How many one entry has at most; to read as many for all does no harm, as all are walls.
+    """
+
+    ends: Float[Array, "4 walls"]
+    first: UInt32[Array, "leaves longest"]
+    most: int = field(metadata={"static": True})
+
+    @staticmethod
+    def of(
+        boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
+        leaf: Int[np.ndarray, "entries"],
+        listed: Int[np.ndarray, "entries"],
+        corners: Float[np.ndarray, "corners 2"],
+        walls: Float[np.ndarray, "walls 4"],
+        margin: float,
+        shape: tuple[int, int],
+    ) -> "NearWalls | None":
+        """Those of :func:`near_entries`, for lists of a shape; None if to test all walls takes no longer."""
+        worth = len(walls) // _COST // _STEP * _STEP
+        if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
+            return None
+        entry, wall = near
+        counts = np.bincount(entry, minlength=len(leaf))
+        most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
+        first = np.zeros(shape, np.uint32)
+        first[runs(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
+        ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
+        return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
+
+    def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
+        """Ends of walls among which are those near some entries."""
+        first = self.first[leaf, place]
+        along = jnp.arange(self.most, dtype=jnp.uint32)[None]
+        return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
+
+
+def near_entries(
+    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
+    leaf: Int[np.ndarray, "entries"],
+    listed: Int[np.ndarray, "entries"],
+    corners: Float[np.ndarray, "corners 2"],
+    walls: Float[np.ndarray, "walls 4"],
+    margin: float,
+    most: int,
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
+    """Pairs of an entry of a list and a wall near the hull of the leaf's box and the corner listed.
+
+    Args:
+        boxes: Lower and upper corners of the leaves' boxes, in the order of the tree's traversal.
+        leaf: The leaf of each entry of the lists, ascending.
+        listed: Its corner.
+        corners: Where all corners are.
+        walls: Ends of the walls.
+        margin: The distance. Few other walls are told too.
+        most: How many walls may be near one entry.
+
+    Returns:
+        The entry of each pair, ascending, and its wall. None if more are near an entry, or in all more than memory
+        should hold.
+    """
+    by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
+    first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
+    found, count = [np.zeros((2, 0), np.int32)], 0
+    for block in parts(np.full(len(first) - 1, len(walls)), _BLOCK):
+        entries = np.sort(by_corner[first[block.start] : first[block.stop]])
+        number, at = listed[entries] - block.start, corners[listed[entries]]
+        near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
+        if (
+            near is None
+            or np.bincount(near[0]).max(initial=0) > most
+            or (count := count + len(near[0])) > _MOST_PAIRS
+        ):
+            return None
+        found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
+    entry, wall = np.concatenate(found, axis=1)
+    order = np.argsort(entry, kind="stable")
+    return entry[order], wall[order]
+
+
+def _near_entries(
+    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
+    leaf: Int[np.ndarray, "entries"],
+    number: Int[np.ndarray, "entries"],
+    corner: Float[np.ndarray, "entries 2"],
+    walls: Float[np.ndarray, "walls 4"],
+    margin: float,
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
+    """Pairs of an entry and a wall near its hull, the entry ascending; corners have numbers. None if too many."""
+    lo, hi = boxes
+    if len(lo) == 1:
+        first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
+        above = np.zeros(len(leaf), np.int64)
+    else:
+        begin = np.arange(0, len(lo), _RUN)
+        of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
+        key = leaf // _RUN * (number.max(initial=0) + 1) + number
+        _, which, above = np.unique(key, return_index=True, return_inverse=True)
+        near = _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)
+        if near is None:
+            return None
+        entry, candidates = near
+        first = np.searchsorted(entry, np.arange(len(which) + 1))
+    tests = first[above + 1] - first[above]
+    if tests.sum() > _MOST_TESTS:
+        return None
+    some = np.flatnonzero(tests).astype(np.int32)
+    all_walls, found = _rows(walls), [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, bool))]
+    for part in parts(tests[some], _AT_ONCE // 2):
+        entries = some[part]
+        place, row = run_members(first, above[entries])
+        hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], corner[entries]], axis=1))
+        for at in range(0, len(place), _AT_ONCE):
+            wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]
+            numbers = (padded(each.astype(np.int32), _AT_ONCE) for each in (of_entry, wall))
+            is_near = _are_near(hulls, *numbers, all_walls, margin)
+            found.append((entries[of_entry], wall, is_near))  # computed while the next ones are listed
+    is_near = np.concatenate([np.asarray(each)[: len(wall)] for _, wall, each in found])
+    entry, wall = (np.concatenate([column[i] for column in found])[is_near] for i in range(2))
+    return entry, wall
+
+
+def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:
+    """32-bit rows, of few numbers."""
+    return padded(values.astype(np.float32), max(_AT_ONCE, padded_size(len(values))))
+
+
+@jax.jit
+def _are_near(
+    hulls: Float[Array, "entries 6"],
+    entry: Int[Array, "pairs"],
+    wall: Int[Array, "pairs"],
+    walls: Float[Array, "walls 4"],
+    margin: Float[Array, ""],
+) -> Bool[Array, "pairs"]:
+    """Whether no line keeps a wall farther than the margin from the hull of an entry's box and corner.
+
+    Two convex sets in the plane are apart only if they are across an edge of one of them.
+    """
+    x0, y0, x1, y1, cx, cy = hulls[entry].T
+    ax, ay, bx, by = walls[wall].T
+    apart = (jnp.maximum(ax, bx) < jnp.minimum(x0, cx) - margin) | (
+        jnp.minimum(ax, bx) > jnp.maximum(x1, cx) + margin
+    )
+    apart |= (jnp.maximum(ay, by) < jnp.minimum(y0, cy) - margin) | (
+        jnp.minimum(ay, by) > jnp.maximum(y1, cy) + margin
+    )
+    # From here on, all is counted from the corner, which is part of the hull.
+    corner = 0 * cx, 0 * cy
+    ends = [(x - cx, y - cy) for x in (x0, x1) for y in (y0, y1)]
+    a, b = (ax - cx, ay - cy), (bx - cx, by - cy)
+    along = b[0] - a[0], b[1] - a[1]
+    for direction, hull, other in [(along, [*ends, corner], [a]), *((end, [*ends, corner], [a, b]) for end in ends)]:
+        of_hull, of_other = ([direction[0] * y - direction[1] * x for x, y in points] for points in (hull, other))
+        reach = margin * jnp.hypot(*direction)
+        apart |= reduce(jnp.minimum, of_hull) - reach > reduce(jnp.maximum, of_other)
+        apart |= reduce(jnp.maximum, of_hull) + reach < reduce(jnp.minimum, of_other)
+    return ~apart
+
+
+def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
+    """Choose the occluders of what a region of free space leaves of the domain.
+
+    Args:
+        region: Free space, a Shapely geometry.
+        domain: The domain.
+        depth: How deep inside obstacles the occluders lie, at least.
+        num_walls: How many walls are tested for each pair that no occluder hides.
+
+    Returns:
+        A row for each occluder, counted from the middle of the domain: both ends, and a linear function that is 0 on
+        the line through the ends, and 1 at the distance at which a point is certainly beside the line.
+    """
+    import shapely  # PLRs do not need it
+
+    # 1. Chords: the longest segments between vertices of obstacles that lie deep inside the obstacles.
+    rng = np.random.default_rng(0)
+    box = shapely.box(*domain.lo, *domain.hi)
+    solid = shapely.buffer(shapely.difference(box, region), -depth, join_style="mitre")
+    found = [np.zeros((0, 2, 2))]
+    for part in shapely.get_parts(solid):
+        vertices = np.unique(shapely.get_coordinates(part), axis=0)
+        vertices = vertices[rng.permutation(len(vertices))[:_MOST_VERTICES]]
+        ends = vertices[np.stack(np.triu_indices(len(vertices), 1), axis=1)]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        ends = ends[np.argsort(-length, kind="stable")[: _MOST_VERTICES * 8]]
+        shapely.prepare(part)
+        found.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
+    chords = np.concatenate(found)
+    # 2. Random free pairs, and the chords that their lines cross.
+    x, y = domain.lo + rng.random((2, _PAIRS, 2)) * domain.width
+    shapely.prepare(region)
+    is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
+    p, q, (a, b) = x[is_free].T, y[is_free].T, chords.transpose(1, 2, 0)[..., None]
+
+    def left_of(a: Any, b: Any, p: Any) -> Any:
+        (ax, ay), (bx, by), (px, py) = a, b, p
+        return (bx - ax) * (py - ay) - (by - ay) * (px - ax) > 0
+
+    crosses = (left_of(a, b, p) != left_of(a, b, q)) & (left_of(p, q, a) != left_of(p, q, b))
+    # 3. Greedily the chord that hides most of the pairs that are left.
+    chosen = []
+    while crosses.any():
+        hidden = crosses.sum(axis=1)
+        best = int(hidden.argmax())
+        if hidden[best] * num_walls < 2 * is_free.sum():
+            break
+        chosen.append(best)
+        crosses &= ~crosses[best]
+    ends = chords[chosen] - (domain.lo + domain.hi) / 2
+    along = ends[:, 1] - ends[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    beside = np.column_stack([normal, (normal * ends[:, 0]).sum(axis=1)]) / (_CLEAR * float(domain.width.max()))
+    return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
