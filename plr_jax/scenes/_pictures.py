@@ -230,6 +230,7 @@ def read_cost_map(
     *,
     cost_travel_multiplier: float | int = 2.0,
     unknown_is_free: bool = False,
+    interpolation: str = "bilinear",
 ) -> RasterCost:
     """Read a map of ROS's ``map_server`` as a cost map, in the frame of the map.
 
@@ -244,6 +245,7 @@ def read_cost_map(
         path: The ``.yaml`` file, as for :func:`read_map_server`, of a map that is not turned.
         cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`, and so is ``unknown_is_free``.
         unknown_is_free: Whether what is unknown may be passed, as dear as the dearest cell; else it is blocked.
+        interpolation: As for :class:`RasterCost`.
 
     Returns:
         The cost map, in meters, of all pixels of the picture.
@@ -272,6 +274,7 @@ def read_cost_map(
             ((x, y), hi),
             cost_travel_multiplier=cost_travel_multiplier,
             unknown_is_free=unknown_is_free,
+            interpolation=interpolation,
         )
 
 

@@ -30,6 +30,7 @@ from plr_jax.spaces._voxels import VoxelSpace
 
 _MOST_AXES = 4
 _LEAST_FACTOR, _LARGEST_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
+_INTERPOLATIONS = ("bilinear", "nearest")
 _AT_ONCE = 8192  # points, of which all that is computed stays in the cache
 _MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes themselves
 # What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
@@ -61,30 +62,35 @@ class RasterCost:
 
     What is blocked is for the space to keep out, such as the one of :meth:`space`: there the factor is that of the
     nearest cell of the array which is not, so that between a blocked cell and its neighbors it stays finite. Outside
-    the bounds it is that of the nearest place within. The factor is multilinear between the centers of cells, and
-    constant in the outer halves of those at the bounds. Of configurations of more coordinates than the raster has
-    axes the leading ones count.
+    the bounds it is that of the nearest place within, but around periodic axes, along which the last cells are
+    neighbors of the first. Of configurations of more coordinates than the raster has axes the leading ones count:
+    headings cost as positions do.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where it is blocked.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
+        interpolation: ``"bilinear"``, multilinear between the centers of cells and constant in the outer halves of
+            those at the bounds; or ``"nearest"``, constant in each cell, and at the border of two the upper one's.
+            Bounds of the nearest one are wider, as over every box that touches a border both cells count.
 
     Attributes:
         values: As given, ``inf`` where blocked; read-only.
         domain: The box of the bounds.
+        interpolation: The same.
 
     Raises:
-        ValueError: If the values are no such numbers, all are blocked, or the bounds are no box of as many dimensions
-            without periodic axes.
+        ValueError: If the values are no such numbers, all are blocked, the bounds are no box of as many dimensions,
+            or the interpolation is another.
     """
 
     values: Float[np.ndarray, "..."]
     domain: Box
+    interpolation: str
 
-    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike):
+    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
         domain = Box.of(bounds, "The bounds")
-        if domain.is_periodic:
-            raise ValueError(f"The bounds of a RasterCost must have no periodic axis, got {domain}.")
+        if interpolation not in _INTERPOLATIONS:
+            raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
         expected = f"factors on a raster of {domain.dim} axes"
         factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
         if factors.ndim != domain.dim or factors.ndim > _MOST_AXES or factors.size == 0:
@@ -105,6 +111,7 @@ class RasterCost:
         factors.flags.writeable = False
         object.__setattr__(self, "values", factors)
         object.__setattr__(self, "domain", domain)
+        object.__setattr__(self, "interpolation", interpolation)
 
     @classmethod
     def from_costmap(
@@ -114,6 +121,7 @@ class RasterCost:
         *,
         cost_travel_multiplier: float | int = 2.0,
         unknown_is_free: bool = False,
+        interpolation: str = "bilinear",
     ) -> "RasterCost":
         """The cost map of a robot, as ROS's ``costmap_2d`` has it in bytes.
 
@@ -127,6 +135,7 @@ class RasterCost:
             cost_travel_multiplier: How much more than a free cell the dearest one costs, at least 0.
             unknown_is_free: Whether 255, unknown, may be passed, as dear as 252, which is how NavFn takes it;
                 else it blocks.
+            interpolation: As for the class.
 
         Returns:
             The cost map.
@@ -140,7 +149,7 @@ class RasterCost:
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
             blocked &= costs < _UNKNOWN
-        return cls(np.where(blocked, np.inf, factors), bounds)
+        return cls(np.where(blocked, np.inf, factors), bounds, interpolation)
 
     @classmethod
     def from_occupancy_grid(
@@ -150,6 +159,7 @@ class RasterCost:
         *,
         cost_travel_multiplier: float | int = 2.0,
         unknown_is_free: bool = False,
+        interpolation: str = "bilinear",
     ) -> "RasterCost":
         """The cost map of a robot, as it is published: ROS's ``OccupancyGrid``.
 
@@ -159,6 +169,7 @@ class RasterCost:
             bounds: As for the class.
             cost_travel_multiplier: As for :meth:`from_costmap`.
             unknown_is_free: As for :meth:`from_costmap`.
+            interpolation: As for the class.
 
         Returns:
             The cost map.
@@ -171,8 +182,13 @@ class RasterCost:
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
         costs[grid < 0] = _UNKNOWN
-        multiplier = cost_travel_multiplier
-        return cls.from_costmap(costs, bounds, cost_travel_multiplier=multiplier, unknown_is_free=unknown_is_free)
+        return cls.from_costmap(
+            costs,
+            bounds,
+            cost_travel_multiplier=cost_travel_multiplier,
+            unknown_is_free=unknown_is_free,
+            interpolation=interpolation,
+        )
 
     def inflated(
         self,
@@ -210,14 +226,16 @@ class RasterCost:
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         if self.free.all():
             return self
-        distance: Any = ndimage.distance_transform_edt(self.free, sampling=self._sides)
+        around, middle = self._periods(self.free)
+        distance: Any = ndimage.distance_transform_edt(around, sampling=self._sides)
+        distance = distance[middle]
         share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
         factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
-        return RasterCost(factors, self.domain)
+        return RasterCost(factors, self.domain, self.interpolation)
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.values.shape))
-        return f"RasterCost({shape} cells, {self.domain})"
+        return f"RasterCost({shape} cells, {self.domain}, {self.interpolation!r})"
 
     @property
     def dim(self) -> int:
@@ -239,7 +257,7 @@ class RasterCost:
             The space, in the bounds; the cost of a motion is its length.
 
         Raises:
-            ValueError: If the radius is no such number.
+            ValueError: If the radius is no such number, or an axis is periodic.
         """
         return VoxelSpace(self.free.T, self.domain, radius)
 
@@ -260,7 +278,9 @@ class RasterCost:
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
         for begin in range(0, len(known), _AT_ONCE):
             part = known[begin : begin + _AT_ONCE]
-            factors[part] = self._interpolated(np.clip(self._places(q[part]), 0, self._sizes - 1))
+            places = self._places(q[part])
+            places = np.where(self.domain.periodic, places % self._sizes, self._clipped(places))
+            factors[part] = self._interpolated(places)
         return factors
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
@@ -271,23 +291,22 @@ class RasterCost:
             hi: Upper corners, finite and nowhere below.
 
         Returns:
-            The extremes, but for rounding outward, over boxes between at most four centers along each axis; over
-            larger ones those of the cells whose centers surround the box, rounded outward to 32 bits.
+            The extremes, but for rounding outward (to 32 bits where more than a cell counts), of ``"nearest"``, where
+            all cells count that the box touches, and of ``"bilinear"`` over boxes between at most four centers along
+            each axis; over larger ones those of the cells whose centers surround the box.
 
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
         """
         lo, hi = self._leading("lo", lo), self._leading("hi", hi)
         as_boxes(lo, hi, self.dim)
-        # Boxes of places, larger by what rounding may have moved any place in them.
-        first, last = self._places(lo), self._places(hi)
-        reach = _OF_PLACES * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
-        first, last = (np.clip(places, 0, self._sizes - 1) for places in (first - reach, last + reach))
-        below, above = np.floor(first).astype(np.intp), np.ceil(last).astype(np.intp)
+        first, last = self._grown(lo, hi)
+        above = np.floor(last) if self.interpolation == "nearest" else np.ceil(last)
         least, most = np.empty(len(first)), np.empty(len(first))
-        patches = np.maximum((above - below).max(axis=1), 1)
-        is_large = patches > _MOST_PATCHES
-        least[is_large], most[is_large] = self._table.extremes(below[is_large], above[is_large])
+        patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
+        is_large = (patches > _MOST_PATCHES) | (self.interpolation == "nearest")
+        ends = (np.floor(first[is_large]).astype(np.intp), above[is_large].astype(np.intp))
+        least[is_large], most[is_large] = self._table.extremes(*ends)
         for count in range(1, _MOST_PATCHES + 1):
             few = np.flatnonzero(~is_large & (patches == count))
             step = max(1, _AT_ONCE // (count + 1) ** self.dim)
@@ -308,14 +327,21 @@ class RasterCost:
         return self._interpolated(places.reshape(-1, self.dim)).reshape(places.shape[:2])
 
     def _interpolated(self, places: Vectors) -> Rates:
-        """Factors at places in cells, from the center of the first one; beyond the last cell, it counts again."""
+        """Factors at places in cells, from the center of the first one or, for the nearest one, from its border."""
         below = np.floor(places).astype(np.intp)
-        beyond, total = places - below, np.zeros(len(places))
+        if self.interpolation == "nearest":
+            return self._at(below)
+        beyond = places - below
+        total = np.zeros(len(places))
         for corner in product((0, 1), repeat=self.dim):
             weights = (beyond[:, axis] if up else 1 - beyond[:, axis] for axis, up in enumerate(corner))
-            cell = np.ravel_multi_index(tuple((below + corner).T), self._nodes.shape, mode="clip")
-            total += reduce(np.multiply, weights) * self._nodes.take(cell)
+            total += reduce(np.multiply, weights) * self._at(below + corner)
         return total
+
+    def _at(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
+        """Factors of cells, given by their numbers along each coordinate; around periodic axes, else the nearest."""
+        modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
+        return self._nodes.take(np.ravel_multi_index(tuple(cell.T), self._nodes.shape, mode=modes))
 
     def _leading(self, name: str, value: ArrayLike) -> Vectors:
         """The leading coordinates of configurations, as many as the raster has axes."""
@@ -325,8 +351,27 @@ class RasterCost:
         return points[:, : self.dim]
 
     def _places(self, q: Vectors) -> Vectors:
-        """Where configurations are in cells, from the center of the first one."""
-        return (q - self.domain.lo) / self.domain.width * self._sizes - 0.5
+        """Where configurations are in cells, from the center of the first one, or for the nearest from its border."""
+        places = (q - self.domain.lo) / self.domain.width * self._sizes
+        return places if self.interpolation == "nearest" else places - 0.5
+
+    def _clipped(self, places: Vectors) -> Vectors:
+        return np.clip(places, 0, self._sizes - 1)
+
+    def _grown(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
+        """Boxes as boxes of places, larger by what rounding may have moved any place in them.
+
+        Around periodic axes they begin in the first period, and are one long at most.
+        """
+        first, last = self._places(lo), self._places(hi)
+        reach = _OF_PLACES * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        first, last = first - reach, last + reach
+        turns = np.floor(first / self._sizes) * self._sizes
+        is_whole = last - first >= self._sizes
+        around = np.where(is_whole, 0, first - turns), np.where(is_whole, self._sizes, last - turns)
+        within = self._clipped(first), self._clipped(last)
+        first, last = (np.where(self.domain.periodic, *each) for each in zip(around, within, strict=True))
+        return first, last
 
     @property
     def _sizes(self) -> Float[np.ndarray, "dim"]:
@@ -338,21 +383,31 @@ class RasterCost:
         """Sides of a cell along the raster's axes."""
         return (self.domain.width / self._sizes)[::-1]
 
+    def _periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
+        """Three periods of cells along periodic axes, and where the middle one is."""
+        wraps = self.domain.periodic[::-1]
+        sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
+        middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
+        return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
+
     @cached_property
     def _nodes(self) -> Float[np.ndarray, "..."]:
         """Factors in the order of coordinates, those of blocked cells filled."""
         factors = self.values
         if not self.free.all():
+            around, middle = self._periods(~self.free)
             nearest: Any = ndimage.distance_transform_edt(
-                ~self.free, sampling=self._sides, return_distances=False, return_indices=True
+                around, sampling=self._sides, return_distances=False, return_indices=True
             )
-            factors = factors[tuple(nearest)]
+            factors = factors[tuple(at[middle] % size for at, size in zip(nearest, factors.shape, strict=True))]
         return np.ascontiguousarray(factors.T)
 
     @cached_property
     def _table(self) -> "SparseTable":
-        """Extremes of blocks of cells."""
-        return SparseTable(self._nodes)
+        """Extremes of blocks of cells; around periodic axes, of two periods."""
+        axes = zip(self._nodes.shape, self.domain.periodic, strict=True)
+        more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
+        return SparseTable(np.pad(self._nodes, more, mode="wrap") if self.domain.is_periodic else self._nodes)
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:

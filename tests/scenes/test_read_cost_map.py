@@ -33,12 +33,13 @@ def test_a_trinary_map_blocks_what_read_map_server_has_occupied(tmp_path):
     cost = scenes.read_cost_map(written(tmp_path))
     np.testing.assert_array_equal(cost.values, [[1, np.inf, np.inf], [1, 1, 1]])
     np.testing.assert_array_equal([cost.domain.lo, cost.domain.hi], [(-1, 2), (0.5, 3)])
-    free = scenes.read_cost_map(tmp_path / "map.yaml", unknown_is_free=True)
+    free = scenes.read_cost_map(tmp_path / "map.yaml", unknown_is_free=True, interpolation="nearest")
     np.testing.assert_array_equal(free.values, [[1, 3, np.inf], [1, 1, 1]])
     x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (300, 2))
     workspace = scenes.read_map_server(tmp_path / "map.yaml", tolerance=0)
     column, row = np.floor((x - cost.domain.lo) / 0.5).astype(int).T
     np.testing.assert_array_equal(workspace.is_free(x), cost.free[row, column])
+    assert free.interpolation == "nearest"
 
 
 def test_a_scaled_map_has_costs_between_the_thresholds(tmp_path):

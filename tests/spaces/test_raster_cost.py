@@ -12,13 +12,13 @@ from plr_jax.spaces._raster_cost import SparseTable
 SHAPES = [(7,), (1,), (6, 9), (1, 5), (4, 5, 6), (3, 2, 2, 4)]
 
 
-def random_raster(shape, seed=0):
+def random_raster(shape, interpolation="bilinear", *, periodic=None, seed=0):
     """Factors of very different sizes, a fifth of the cells blocked, in a box anywhere."""
     rng = np.random.default_rng(seed)
     values = np.exp(rng.normal(0, 2, shape))
     values[(rng.random(shape) < 0.2) & (values.size > 1)] = np.inf
     lo, width = rng.normal(0, 5, len(shape)), rng.uniform(0.5, 20, len(shape))
-    return RasterCost(values, Box(lo, lo + width))
+    return RasterCost(values, Box(lo, lo + width, periodic), interpolation)
 
 
 def boxes_of(cost, n, seed=1):
@@ -44,9 +44,11 @@ def values_at(cost, points):
     return cost(points.reshape(-1, points.shape[2])).reshape(points.shape[:2])
 
 
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_bounds_hold_all_points_of_boxes(shape):
-    cost = random_raster(shape)
+@pytest.mark.parametrize("around", [False, True])
+def test_bounds_hold_all_points_of_boxes(shape, interpolation, around):
+    cost = random_raster(shape, interpolation, periodic=[around] + [False] * (len(shape) - 1))
     assert isinstance(cost, CostMap)
     lo, hi = boxes_of(cost, 300)
     lower, upper = cost.bounds(lo, hi)
@@ -74,6 +76,13 @@ def test_bounds_are_the_extremes_of_small_boxes_and_of_the_cells_around_large_on
     assert (grown[0] <= lower).all() and (upper <= grown[1]).all()
     whole = cost.bounds(cost.domain.lo[None] - 1, cost.domain.hi[None] + 1)
     np.testing.assert_allclose(np.ravel(whole), [cost.values.min(), cost.values[cost.free].max()], rtol=1e-6)
+
+
+def test_of_the_nearest_cell_all_count_that_a_box_touches():
+    cost = RasterCost([[1.0, 2, 4], [8, 16, 32]], ((0, 0), (3, 2)), "nearest")
+    np.testing.assert_array_equal(cost([(0.2, 0.9), (1, 0.5), (1, 1), (3, 2), (-7, 9)]), [1, 2, 16, 32, 8])
+    lo, hi = np.array([(0.2, 0.2), (0.2, 0.2), (1.2, 1.0)]), np.array([(0.8, 0.8), (1, 0.8), (1.8, 1.2)])
+    np.testing.assert_allclose(cost.bounds(lo, hi), [(1, 1, 2), (1, 2, 16)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(6,), (6, 9), (4, 5, 6), (3, 2, 2, 4)], ids=str)
@@ -104,6 +113,28 @@ def test_blocked_cells_are_known_and_have_the_factor_of_the_nearest_other():
         assert (among & (cost(x[blocked])[:, None] == values[~blocked])).any(axis=1).all()
     with pytest.raises(ValueError, match="leave a cell that is not blocked"):
         RasterCost(np.full((12, 10), np.nan), ((0, 0), (10, 24)))
+
+
+def test_around_a_periodic_axis_the_last_cells_are_neighbors_of_the_first():
+    values = np.array([1.0, 2, 3, 5])
+    cost = RasterCost(values, Box([0], [4], [True]))
+    np.testing.assert_allclose(cost([[0], [4], [-0.25], [3.75], [400.5], [-3.5]]), [3, 3, 4, 4, 1, 1])
+    lower, upper = cost.bounds(np.array([[3.5], [-0.5], [401.5], [1]]), np.array([[4.5], [0.5], [402.5], [7]]))
+    np.testing.assert_allclose([lower, upper], [(1, 1, 2, 1), (5, 5, 3, 5)], rtol=1e-6)
+
+
+def test_around_a_periodic_axis_what_is_blocked_raises_costs_and_lends_factors():
+    values = np.random.default_rng(0).uniform(1, 2, (3, 8))
+    values[:, 1] = values[2, 6] = np.inf
+    bounds, x = Box((0, 0), (8, 3), (True, False)), np.random.default_rng(1).uniform(0, (8, 3), (200, 2))
+
+    def at(turn):
+        cost = RasterCost(np.roll(values, turn, axis=1), bounds)
+        return cost(x + np.array((turn, 0))), np.roll(cost.inflated(0.2, inflation_radius=3).values, -turn, axis=1)
+
+    for turn in range(1, 8):
+        for here, there in zip(at(0), at(turn), strict=True):
+            np.testing.assert_allclose(here, there, rtol=1e-12)
 
 
 def test_of_more_coordinates_the_leading_ones_count_and_what_is_not_finite_has_no_factor():
@@ -147,7 +178,7 @@ def test_a_sparse_table_has_the_extremes_of_blocks(shape, most_entries, monkeypa
         (([[1e31]], ((0, 0), (1, 1))), "got 1e"),
         (([["a"]], ((0, 0), (1, 1))), "values must be factors on a raster of 2 axes, got"),
         (([[1.0]], 5), r"The bounds must be a Box or its corners"),
-        (([[1.0]], Box((0, 0), (1, 1), (True, False))), "must have no periodic axis"),
+        (([[1.0]], ((0, 0), (1, 1)), "cubic"), "interpolation must be 'bilinear' or 'nearest', got 'cubic'"),
     ],
     ids=range(9),
 )
@@ -169,17 +200,18 @@ def test_the_space_is_that_of_the_cells_that_are_not_blocked(shape):
 
 
 @pytest.mark.full
-def test_bounds_of_the_solver_hold_the_cost_across_stripes():
+@pytest.mark.parametrize(("interpolation", "most_gap"), [("bilinear", 0.2), ("nearest", 0.4)])
+def test_bounds_of_the_solver_hold_the_cost_across_stripes(interpolation, most_gap):
     """Straight across stripes, which are horizontal, no path is cheaper than the straight one."""
     factors = np.tile(np.linspace(1, 3, 16)[:, None], (1, 16))
-    cost, goal = RasterCost(factors, ((0, 0), (1, 1))), (0.5, 0.0)
+    cost, goal = RasterCost(factors, ((0, 0), (1, 1)), interpolation), (0.5, 0.0)
     plr = solve_eikonal(PlaneSpace(Workspace(((0, 0), (1, 1)))), goal, cost_map=cost, max_leaves=300)
     fine = (np.arange(4000) + 0.5) / 4000
     along = np.cumsum(cost(np.stack([np.full(4000, 0.5), fine], axis=1))) / 4000
     x = np.stack([np.full(4000, 0.5), fine + 0.5 / 4000], axis=1)[:-1]
     lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
     assert (lower <= along[:-1] + 1e-3).all() and (along[:-1] <= upper + 1e-3).all()
-    assert (upper - lower)[-1] < 0.2 * along[-1]
+    assert (upper - lower)[-1] < most_gap * along[-1]
 
 
 @pytest.mark.full
@@ -217,9 +249,9 @@ def test_bytes_of_a_cost_map_cost_as_smac_has_it():
     cost = RasterCost.from_costmap(values, STRIP)
     np.testing.assert_array_equal(cost.free, [[1, 1, 1, 1, 0, 0, 0, 1]])
     np.testing.assert_allclose(cost.values[cost.free], [1, 1 + 2 / 252, 2, 3, 1.5])
-    known = RasterCost.from_costmap(values, STRIP, unknown_is_free=True)
+    known = RasterCost.from_costmap(values, STRIP, unknown_is_free=True, interpolation="nearest")
     np.testing.assert_array_equal(known.free, [[1, 1, 1, 1, 0, 0, 1, 1]])
-    assert known.values[0, 6] == 3
+    assert known.values[0, 6] == 3 and known.interpolation == "nearest"
     navfn = RasterCost.from_costmap(values, STRIP, cost_travel_multiplier=252 * 0.8 / 50)
     np.testing.assert_allclose(50 * navfn.values[0, :4], 50 + 0.8 * values[0, :4])
 
