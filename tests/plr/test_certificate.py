@@ -169,11 +169,6 @@ def test_nothing_above_zero_and_leaves_that_are_all_open_are_a_proof_too():
     assert certificate.max_error == np.inf
 
 
-def test_no_proof_takes_no_bits():
-    assert Proof.NONE.num_bits(1000, 1000) == 0
-    assert read_certificate(BitReader(b""), Proof.NONE, 1000) is None
-
-
 @pytest.mark.parametrize(
     ("proof", "value"),
     [(Proof.LEAVES, -1.0), *((Proof.CLASSES, value) for value in (0.0, -0.0, np.nan, np.inf, -np.inf, 3.4e38))],
@@ -184,19 +179,6 @@ def test_a_largest_error_that_makes_no_sense_or_is_cut_short_is_refused(proof, v
     body = BitWriter().write_floats(np.array([0.5])).write(np.arange(5), 8)
     with pytest.raises(ValueError, match="end too early"):
         read_certificate(BitReader(body.to_bytes()), Proof.LEAVES, 3)
-
-
-@pytest.mark.parametrize(("proof", "last"), [(Proof.LEAVES, 2.0), (Proof.OPEN_LEAVES, np.inf)])
-def test_the_largest_code_is_a_bound_unless_leaves_may_be_open(proof, last):
-    """Of any codes there are in a file."""
-    codes = np.array([0, 254, 255])
-    body = BitWriter().write_floats(np.array([2.0])).write(codes, 8).write(codes, 8)
-    certificate = read_certificate(BitReader(body.to_bytes()), proof, 3)
-    assert certificate is not None and certificate.max_error == last
-    lower, upper = certificate.bounds()
-    expected = [2.0 * 2 ** (-255 / 12), 2.0 * 2 ** (-1 / 12)]
-    np.testing.assert_allclose(-lower, [*expected, 2.0], rtol=1e-6)
-    np.testing.assert_allclose(upper, [*expected, last], rtol=1e-6)
 
 
 # Classes of leaves, against all partitions of few leaves, and as a file keeps them.

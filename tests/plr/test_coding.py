@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plr_helpers import random_partition, three_leaves
+from plr_helpers import random_partition
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import (
@@ -65,13 +65,6 @@ def test_what_is_written_is_read(rows, unary, coded, member):
     assert reader.read_alike(1, 1)[0] == 1 and reader.at_end()
 
 
-def test_by_hand():
-    """Coded numbers of order 0: the order in 5 bits, in unary the bits of n + 1 beyond the first, then those bits."""
-    assert BitWriter().write(np.array([1, 2]), 2).to_bytes() == bytes([0b1001])
-    coded = bits_of("00000" + "1" + "01" + "001" + "0" + "10")  # 0, 1 (binary 10) and 4 (101, the lowest bit first)
-    assert BitReader(coded).read_coded(3).tolist() == [0, 1, 4]
-
-
 @pytest.mark.filterwarnings("error")
 def test_any_32_bits_are_read_as_a_float():
     patterns = np.array([0x7FA00000, 0xFF800001, 0x7F800000, 1])  # two signaling NaNs, infinity, the least number
@@ -123,14 +116,6 @@ def test_numbers_that_are_too_large_are_not_written():
         BitWriter().write_coded(np.array([2**40]))
 
 
-def test_a_tree_of_three_leaves_by_hand():
-    body = written(three_leaves())
-    # The root is split along axis 0; its lower half is a leaf, its upper half is split along axis 1 into two.
-    assert body.to_bytes() == bits_of("1 0  01 1  00")
-    assert body.num_bits == 7
-    assert [body_size(2, leaves, bits) for leaves, bits in ((3, 1), (3, 2), (1, 31), (1, 24))] == [1, 2, 4, 4]
-
-
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 20), num_splits=st.integers(0, 40))
 def test_the_tree_that_is_read_is_what_was_written(seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
@@ -166,15 +151,6 @@ DECIMALS = st.builds(lambda digits, places: digits / 10**places, st.integers(-(1
 PAIRS_OF_ENDS = st.one_of(
     *(st.lists(numbers, min_size=2, max_size=2, unique=True).map(sorted) for numbers in (DOUBLES, DECIMALS))
 )
-
-
-def test_numbers_by_hand():
-    """That of three bytes is the example of LEB128 in the DWARF standard's descriptions. Signs are the lowest bit."""
-    ends = ((0, "00"), (127, "7f"), (128, "8001"), (300, "ac02"), (624485, "e58e26"), (2**56, "80" * 8 + "01"))
-    for value, data in ends:
-        assert varint(value) == bytes.fromhex(data)
-    for value, code in ((0, 0), (-1, 1), (1, 2), (-2, 3), (63, 126), (-64, 127), (64, 128)):
-        assert signed_varint(value) == varint(code)
 
 
 @given(st.lists(st.integers(0, 2**70 - 1)), st.lists(st.integers(-(2**69), 2**69 - 1)), st.binary(max_size=3))

@@ -16,7 +16,7 @@ from plr_helpers import UNIT, leaf_by_search, points
 from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PriceSearch, Thrift
+from plr_jax.plr.best_partition import PriceSearch, Thrift
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
@@ -160,25 +160,6 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
     assert hidden < 0.25 * hidden_before and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
 
 
-def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maze, monkeypatch):
-    changes, choose = [], search.sources_in_sight
-
-    def with_few(tree, options, fits):
-        for most in (0, 3, 10**9):
-            source = choose(tree, options, lambda source, most=most: (source != tree.source).sum() <= most)
-            changes.append(np.where(source != tree.source, source, -1))
-        return source
-
-    monkeypatch.setattr(search, "sources_in_sight", with_few)
-    construct(maze, UNIT, leaf="cone", max_leaves=200)
-    none, few, many = changes
-    assert [(each >= 0).sum() for each in (none, few)] == [0, 3] and (many >= 0).sum() > 5
-    assert (few == many)[few >= 0].all()
-    changes.clear()
-    assert construct(VisibilityGraph(Workspace(UNIT), (0.1, 0.1)), UNIT, leaf="cone", max_bytes=128).num_leaves == 1
-    assert (np.array(changes) < 0).all()
-
-
 # Sources and ranks of cones in files: on the lattice of a map, as parents of one another, read as written.
 
 
@@ -234,21 +215,6 @@ def test_what_is_written_is_read(lattice, seed, dim, count):
     assert (np.abs(found.sources.offsets[index] - distances) <= far).all()
 
 
-@pytest.mark.parametrize(
-    ("lattice", "expected"), [("integers", 1), ("hundredths", 100), ("quarters", 4), ("thirds", 3), ("none", None)]
-)
-def test_the_lattice_of_a_map_is_found_and_points_on_none_are_kept_to_a_fine_step(lattice, expected):
-    points, distances, parents = random_sources(np.random.default_rng(1), 2, 40, lattice)
-    domain = Box((-300, -300), (700, 700))
-    stored, _ = store_sources(points, distances, parents, domain)
-    if expected is None:
-        assert stored.num_fine == 40 and stored.exponent == -16
-        assert len(bits_of(domain, StoredCones(stored, np.zeros(1, int))).to_bytes()) < 40 * 8
-    else:
-        assert stored.fraction == expected
-        np.testing.assert_allclose(stored.points, np.unique(points, axis=0), atol=1e-13)
-
-
 def test_sources_at_one_place_are_stored_once():
     points = np.array([[0.0, 0], [1, 1], [1, 1 + 1e-15], [0, 0]])
     distances = np.array([0, 2**0.5, 2**0.5, 0])
@@ -256,15 +222,6 @@ def test_sources_at_one_place_are_stored_once():
     assert index.tolist() == [0, 1, 1, 0]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
-
-
-def test_ranks_are_few_bits_where_leaves_take_turns():
-    """Leaves that alternate between two sources take two bits each, those that stay one."""
-    domain = Box((0, 0), (200, 200))
-    stored, _ = store_sources(np.arange(200.0).reshape(100, 2), np.zeros(100), np.arange(100), domain)
-    ranks = np.full(1000, 77), 77 + np.arange(1000) % 2
-    one, two = (bits_of(domain, StoredCones(stored, rank)).num_bits for rank in ranks)
-    assert two - one < 1100 and one < 100 * 60 + 1100
 
 
 @given(st.binary(max_size=400), st.integers(1, 5), st.integers(1, 300))
@@ -315,16 +272,6 @@ def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, mess
         read_cones(BitReader(body.to_bytes() + rest), DOMAIN, 4)
 
 
-def test_a_rank_beyond_the_sources_is_refused():
-    body = bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int)))
-    body._bits.pop()  # the ranks of one leaf
-    while body.num_bits > bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int))).num_bits - 1:
-        body._bits.pop()
-    body.write(np.array([0]), 1).write(np.array([0]), 1).write(np.array([0]), 1).write_coded(np.array([0]))
-    with pytest.raises(ValueError, match="names source 3 of 3"):
-        read_cones(BitReader(body.to_bytes()), DOMAIN, 1)
-
-
 @pytest.mark.parametrize(
     ("x", "distance", "message"),
     [(0.0, 1e39, "scale them down"), (1e19, 0.0, r"Cones take distances and domains within 1e\+18")],
@@ -371,21 +318,6 @@ def levels_of_family(monkeypatch, workspace, goals, max_leaves):
     task = task_of(workspace, first, limits_of(max_leaves))
     task(oracles)
     return given[0][0], given[0][1], len(task.halves)
-
-
-@pytest.mark.parametrize(("splits", "limits"), [(0, (8,)), (3, (64,)), (5, (256,)), (4, (10**6, 4))])
-def test_all_cells_of_so_many_splits_and_their_halves(splits, limits):
-    task = task_of(MAZE, VisibilityGraph(MAZE, (0.06, 0.07)), limits_of(*limits))
-    assert len(task.halves) == splits == len(task.tops) - 1
-    for number, cells in enumerate(task.tops):
-        shapes = [(i, number - i) for i in range(number + 1) if abs(number - 2 * i) <= MAX_ASPECT_BITS]
-        assert len(np.unique(cells.hashes())) == len(cells) == len(shapes) * 2**number
-        assert (cells.depth.sum(axis=1) == number).all()
-    for (cells, below), child in zip(pairwise(task.tops), task.halves, strict=True):
-        axis, side, box = np.nonzero(child >= 0)
-        half, expected = below[child[axis, side, box]], cells[box].halves(axis, side == 1)
-        np.testing.assert_array_equal(half.depth, expected.depth)
-        np.testing.assert_array_equal(half.position, expected.position)
 
 
 @pytest.mark.parametrize("workspace", [MAZE, CORNER], ids=["maze", "corner"])

@@ -16,7 +16,7 @@ from plr_jax.plr.faces import face_points, shared_faces
 from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
 from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
 from plr_jax.plr.sampling import Sampler, sample_pattern
-from plr_jax.plr.tree import Cells, corner_bits, tree_of
+from plr_jax.plr.tree import Cells, tree_of
 
 # Function spaces of continuous leaves: a basis, and that functions agree wherever leaves are tied.
 
@@ -49,10 +49,6 @@ def evaluate(order, cells, numbers, leaf, x, derivative=None):
     return np.sum(factor * (numbers.reshape(len(cells), -1)[leaf] @ monomials(order, cells.dim)), axis=1)
 
 
-def corners_of(cells):
-    return ((cells.position[:, None] + corner_bits(cells.dim)) * 0.5 ** cells.depth[:, None]).reshape(-1, cells.dim)
-
-
 @pytest.mark.parametrize("order", [0, 1])
 @given(seed=SEEDS, data=st.data())
 def test_functions_agree_across_every_tied_face(order, seed, data):
@@ -69,27 +65,6 @@ def test_functions_agree_across_every_tied_face(order, seed, data):
         below = evaluate(order, cells, numbers, faces.lower, x, derivative)
         above = evaluate(order, cells, numbers, faces.upper, beyond, derivative)
         np.testing.assert_allclose(below, above, atol=1e-7 * max(1, np.abs(below).max(initial=0)))
-
-
-def of_masters(space, values):
-    """Of values at the corners of all leaves those of the masters."""
-    of_group = np.empty(space.group.max() + 1)
-    of_group[space.group] = values
-    return of_group[space.masters]
-
-
-@given(seed=SEEDS, dim=st.integers(1, 3), periodic=st.booleans())
-def test_predictions_need_coarser_values_alone_and_are_right_for_linear_functions(seed, dim, periodic):
-    rng, cells = np.random.default_rng(seed), tree_of(random_partition(seed, dim, 25)).leaves
-    space, _ = space_of(cells, lambda faces: (rng.random(len(faces)) < 0.7) | periodic, (periodic,) * dim)
-    row, column = space.prediction.nonzero()
-    assert np.all(space.level[column] < space.level[row])
-    np.testing.assert_allclose(space.values @ np.ones(len(space.masters)), 1)
-    if periodic:  # all corners of a torus are one point
-        assert len(np.unique(space.group[np.isin(corners_of(cells), [0, 1]).all(axis=1)])) == 1
-    else:
-        values, is_finer = of_masters(space, 3 + corners_of(cells).sum(axis=1)), space.level > 0
-        np.testing.assert_allclose((space.prediction @ values)[is_finer], values[is_finer], atol=1e-9)
 
 
 # Continuous leaves: no jumps where one may walk, exact for what they can hold, within limits, fitted densely.
@@ -175,15 +150,6 @@ def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
         for _ in range(8):
             x[:, axis] = np.nextafter(x[:, axis], np.float32(-2))
             np.testing.assert_allclose(plr(x), at_border, atol=1e-4)
-
-
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_one_leaf_holds_a_multilinear_function(dim):
-    def product(x):
-        return 1 + np.prod(1 + x * np.arange(1, dim + 1), axis=1)
-
-    plr, x = construct(product, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=1), points(100, 0, dim)
-    np.testing.assert_allclose(plr(x), product(x), rtol=3e-6)
 
 
 def test_linear_functions_are_held_across_leaves_and_walls(leaf, samples):
@@ -311,30 +277,7 @@ def grid(depth, dim=2):
     return tree.leaves, shared_faces(tree)
 
 
-def test_faces_in_a_wall_are_not_free():
-    cells, faces = grid(4)
-    free = FaceTests(walled, SQUARE).are_free(cells, faces)
-    x = (np.maximum(cells.position[faces.lower], cells.position[faces.upper]) + 0.5) / 16  # a point beside the face
-    inside = (faces.axis == 0) & (x[:, 0] > 0.42) & (x[:, 0] < 0.5) & (x[:, 1] < 0.65)
-    assert inside.any() and not free[inside].any()
-    away = (x[:, 0] < 0.35) | (x[:, 0] > 0.6) | (x[:, 1] > 0.8)
-    assert free[away].all()
-
-
 def test_a_face_on_the_edge_of_a_wall_is_not_free():
     cells, faces = grid(1)
     free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
     np.testing.assert_array_equal(free, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
-
-
-def test_a_face_is_tested_once():
-    asked = []
-
-    def counted(x):
-        asked.append(len(x))
-        return cone(x)
-
-    tests = FaceTests(counted, SQUARE)
-    for _ in range(2):
-        assert tests.are_free(*grid(2)).all()
-    assert len(asked) == 1

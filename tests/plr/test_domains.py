@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plr_helpers import UNIT, walled
+from plr_helpers import UNIT
 
 from plr_jax import (
     Box,
@@ -151,12 +151,6 @@ def test_values_in_leaves_are_asked_for_the_nearest_image(plr):
     ends = [plr.values_in_leaves(first, lo[first] + turns * PERIOD) for turns in (0, 1)]
     np.testing.assert_allclose(*ends, atol=1e-9)
     assert len(last) and np.isfinite(plr.values_in_leaves(last, lo[last] + 7 * PERIOD)).all()
-
-
-def test_other_domains_are_not_wrapped():
-    plr = construct(walled, UNIT, max_leaves=20)
-    assert plr.tables.periodic == () and "floor" not in str(jax.make_jaxpr(plr)(jnp.zeros(2)))
-    assert np.isinf(plr(np.array([1.5, 0.5])))
 
 
 def test_cones_and_proofs_are_refused():

@@ -128,20 +128,18 @@ def test_a_model_that_is_not_known_is_refused(container, message):
         from_bytes(container.to_bytes())
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda data: b"PK\x03\x04" + data[4:], "does not start like a PLR file"),
-        (lambda data: data[:30] + b"\xaa\xaa" + data[32:], "checksum"),
-    ],
-)
-def test_load_says_what_is_wrong_with_which_file(change, message, tmp_path):
-    path = tmp_path / "bad.plr"
+@pytest.mark.parametrize("read", [load, load_numpy])
+def test_readers_say_what_is_wrong_with_which_file(read, tmp_path):
+    path, data = tmp_path / "bad.plr", encode(random_contents(0, 2, "plane"))
     with pytest.raises(FileNotFoundError):
-        load(path)
-    path.write_bytes(change(encode(random_contents(0, 2, "plane"))))
-    with pytest.raises(ValueError, match=f"bad.plr cannot be read as a PLR or as pairs: .*{message}"):
-        load(path)
+        read(path)
+    for bad, message in (
+        (b"PK\x03\x04" + data[4:], "does not start like a PLR file"),
+        (data[:30] + b"\xaa\xaa" + data[32:], "checksum"),
+    ):
+        path.write_bytes(bad)
+        with pytest.raises(ValueError, match=f"bad.plr cannot be read as a PLR.*: .*{message}"):
+            read(path)
 
 
 @pytest.mark.parametrize("read", [load, load_numpy])

@@ -90,16 +90,6 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
     assert any(np.abs(domain.difference(image, x)).max() < 1e-9 for image, _ in folding.images(z))
 
 
-def test_pieces_of_the_domain_fill_it():
-    folding = folding_of(Euclidean((1.0, 2.0)), FOUR)
-    lo, hi, leaf = folding.boxes(folding.box.lo[None], folding.box.hi[None])
-    boxes = sorted(zip(lo.tolist(), hi.tolist(), strict=True))
-    assert leaf.tolist() == [0, 0, 0, 0]
-    assert boxes == [([0, 0], [1, 2]), ([0, 2], [1, 4]), ([1, 0], [4, 2]), ([1, 2], [4, 4])]
-    with pytest.raises(ValueError, match="along other axes"):
-        folding_of(ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE).boxes(np.zeros((1, 3)), np.ones((1, 3)))
-
-
 @pytest.mark.parametrize(
     ("heading", "at", "change", "message"),
     [
@@ -179,6 +169,8 @@ def test_boxes_of_leaves_fill_the_domain():
     np.testing.assert_array_equal(leaf_of(plr, (lo + hi) / 2), plr.leaf_of_box)
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(25.0)
     assert plr.num_leaves == len(plr.cells) == len(plr.slope) == 20
+    with pytest.raises(ValueError, match="along other axes"):
+        folding_of(ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE).boxes(np.zeros((1, 3)), np.ones((1, 3)))
 
 
 def test_weights_count_where_any_image_has_one():

@@ -203,7 +203,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
         ({"max_depth": 61}, "max_depth must be at most 60, got 61"),
         ({"max_depth": 60}, "would need about .* GiB; this machine has"),
         ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
-        ({"max_leaves": 10**12}, "would need about"),
+        ({"max_leaves": 10**12}, r"The limits allow 1e\+12 leaves or more, .*Give a smaller"),
         ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
         ({"tolerance": -0.1}, "tolerance must be a finite number of at least 0"),
         ({"tolerance": np.nan}, "tolerance must be a finite number of at least 0"),
@@ -213,12 +213,6 @@ def test_how_often_an_axis_may_be_halved(given, expected):
 def test_limits_out_of_range_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         limits(**given)
-
-
-def test_a_tree_larger_than_memory_is_refused():
-    growth.check_memory(1e5)
-    with pytest.raises(ValueError, match=r"The limits allow 5e\+14 leaves or more.*Give a smaller max_depth"):
-        growth.check_memory(1e15)
 
 
 def test_growth_ends_where_nothing_is_left_to_split_and_an_interrupt_loses_the_round_alone():

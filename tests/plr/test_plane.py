@@ -8,39 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, random_partition, walled
 
-from plr_jax import Box, BuildOptions
+from plr_jax import BuildOptions
 from plr_jax.plr import Continuous, Plane, construct
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_of_code
-from plr_jax.plr.leaves.cone.model import Cone
+from plr_jax.plr.leaves import leaf_model, leaf_of_code
 from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
-    StoredPlanes,
     encode_planes,
     planes_bits,
     read_planes,
-    unreachable_code,
     write_planes,
 )
-from plr_jax.plr.tree import Cells
 
 # Leaf models: their names and codes, and what holds of the numbers of every model with free parameters.
-
-
-MODELS = {"plane": Plane(), "continuous": Continuous(order=0), "smooth": Continuous(order=1), "cone": Cone()}
-
-
-@pytest.mark.parametrize(("code", "name"), list(enumerate(MODELS)))
-def test_every_model_has_a_name_and_a_code_that_stay(code, name):
-    model = MODELS[name]
-    assert leaf_model(name) == leaf_of_code(code) == leaf_model(model) == model
-    assert code_of_leaf(model) == code and model.name == name
-
-
-def test_options_of_a_model_do_not_change_its_code_but_compiled_queries_are_told_apart_by_them():
-    assert code_of_leaf(Plane(coefficient_bits=16)) == 0
-    assert leaf_model(Plane(coefficient_bits=16)).coefficient_bits == 16
-    assert len({Plane(), Plane(), Plane(coefficient_bits=8), Continuous(), Continuous(order=0)}) == 3
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -90,12 +70,6 @@ def test_a_query_is_the_plane_of_the_leaf_that_holds_the_point_also_in_double_pr
         np.testing.assert_allclose(of_cone(doubles), evaluate_by_search(of_cone, doubles), rtol=1e-12)
 
 
-def test_rounding_is_as_the_step_says(exact, x):
-    rounded = construct(walled, UNIT, max_leaves=100, leaf=Plane(coefficient_bits=8))
-    difference = np.abs(np.asarray(exact(x)) - np.asarray(rounded(x)))
-    assert 0 < difference.max() <= 1.5 * rounded.stored.step + 1e-6
-
-
 def test_floats_without_a_budget_and_integers_with_one(exact):
     assert exact.stored.bits == 32 and construct(walled, UNIT, max_bytes=500).stored.bits in range(8, 17)
     assert construct(walled, UNIT, max_leaves=5, leaf=Plane(coefficient_bits=12)).stored.bits == 12
@@ -121,13 +95,6 @@ def test_a_fit_of_the_callers_own():
     plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, options=BuildOptions(compute_coefficients=flat))
     np.testing.assert_allclose(plr.slope, 0)
     assert (plr(points(100, 0)) >= 0.2).all()
-
-
-def test_numbers_are_the_value_at_the_corner_and_the_slopes():
-    """The plane ``3 + 5 x - 2 y`` on [2, 4] x [1, 2], in its upper half along x."""
-    cells, corner = Cells.root(2).split(np.array([0]))[[1]], np.array([2.0, 1.0])
-    numbers = Plane().numbers(Box(corner, (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]), corner)
-    np.testing.assert_allclose(numbers, [[3 + 10 - 2, 5, -2]])
 
 
 @given(seed=st.integers(0, 1000), bits=st.integers(4, 20), scale=st.sampled_from([1e-6, 1.0, 1e6]))
@@ -158,13 +125,6 @@ def test_floats_and_constants_are_kept_to_32_bits():
         assert not planes.unreachable.any()
 
 
-@pytest.mark.parametrize(("bits", "expected"), [(10, [[4, 0, 0, 9], [2, 0]]), (FLOAT_BITS, [[32] * 4, [32] * 2])])
-def test_widths_hold_the_largest_half_difference_of_their_depth(bits, expected):
-    half, depth = np.array([[3, 0], [-4, 0], [0, 0], [200, -1]]), np.array([[0, 1], [0, 1], [2, 1], [3, 0]])
-    planes = StoredPlanes(bits, 0.0, 1.0, np.zeros(4, np.int64), half)
-    assert [widths.tolist() for widths in planes.widths(depth)] == expected
-
-
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 5), bits=st.sampled_from([4, 11, 16, 20, 32]))
 def test_what_is_read_is_what_was_written(seed, dim, bits):
     rng, depth = np.random.default_rng(seed), random_partition(seed, dim, 30).depth
@@ -176,11 +136,6 @@ def test_what_is_read_is_what_was_written(seed, dim, bits):
     again = read_planes(BitReader(body.to_bytes()), depth)
     for name in ("center", "half", "bits", "offset", "step"):
         np.testing.assert_array_equal(getattr(again, name), getattr(planes, name))
-
-
-def test_the_mark_of_unreachable_leaves():
-    assert unreachable_code(8) == 255
-    assert np.array([unreachable_code(32)], np.uint32).view(np.float32)[0] == np.inf
 
 
 def test_planes_beyond_floats_are_refused():

@@ -8,30 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers, walled
+from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers
 
 from plr_jax import Box, VisibilityGraph, construct, scenes
 from plr_jax.plr import Plane, query, tables
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.frame import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows, table_corners
+from plr_jax.plr.frame import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows
 from plr_jax.plr.tables import build_pages, build_tables
 from plr_jax.plr.tree import Cells
-
-
-def shapes(plr):
-    """Shape and type of every array that a query reads."""
-    tables = plr.tables
-    assert tables.blocks is None
-    return [(array.shape, array.dtype) for array in (tables.frame, tables.bits, tables.leaf_of_slot, tables.numbers)]
-
-
-def test_tables_of_a_class_have_one_shape():
-    """The class of 2 KB: 2**14 slots, and 1,024 planes of at least two bytes."""
-    first = construct(walled, UNIT, max_leaves=100)
-    second = construct(lambda x: 3 * walled(x), UNIT, max_leaves=130)
-    assert 1024 < first.num_bytes < second.num_bytes <= 2048
-    assert shapes(first) == shapes(second)
-    assert first.tables.numbers.shape == (3, 1024) and first.tables.leaf_of_slot.shape == (2**14,)
 
 
 def test_beyond_32_kilobytes_tables_are_as_large_as_their_leaves_need():
@@ -42,15 +26,6 @@ def test_beyond_32_kilobytes_tables_are_as_large_as_their_leaves_need():
         position = np.stack(np.meshgrid(np.arange(rows), np.arange(2**8), indexing="ij"), axis=-1).reshape(-1, 2)
         cells = Cells(np.tile([rows.bit_length() - 1, 8], (len(position), 1)), position)
         assert tables_of_numbers(cells, 2**20).leaf_of_slot.dtype == kind
-
-
-@given(lo=st.floats(-1e6, 1e6), width=st.floats(1e-3, 1e6))
-def test_corners_are_rounded_outward(lo, width):
-    domain = Box([lo], [lo + width])
-    low, high = table_corners(domain)
-    assert low.dtype == np.float32 and low[0] <= domain.lo[0] and high[0] >= domain.hi[0]
-    assert np.nextafter(low, np.float32(np.inf))[0] > domain.lo[0]
-    assert np.nextafter(high, np.float32(-np.inf))[0] < domain.hi[0]
 
 
 def test_a_class_is_the_power_of_two_that_holds_the_bytes_and_has_room_for_as_many_leaves_as_a_file_can_hold():

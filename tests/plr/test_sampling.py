@@ -68,13 +68,6 @@ def test_undetermined_directions_get_slope_zero():
     np.testing.assert_allclose(half, [[0, 0], [2, 0], [0, 0]], atol=1e-6)
 
 
-def test_least_squares_leaves_the_range_of_its_samples():
-    """The false step of the paper's Theorem 2: V = 0, 0, 1 at 0, 1, 2 gives the line -1/6 at 0."""
-    pattern = sampling.Pattern(np.array([[-1.0], [0], [1]]), np.ones(3))
-    center, half = sampling.least_squares(pattern, np.array([[0.0, 0, 1]]), np.ones((1, 3)))
-    assert center[0] - half[0, 0] == pytest.approx(-1 / 6)
-
-
 # Cells.
 
 

@@ -139,11 +139,6 @@ def test_deep_leaves_are_found_beside_shallow_ones(axes):
     assert_finds_rows(partitions, one_row_a_leaf(partitions))
 
 
-def test_leaves_of_the_same_numbers_share_a_row():
-    cells = random_partition(1, 2, 60)
-    assert_finds_rows([cells, cells], [np.arange(len(cells)) % 3, 3 + np.arange(len(cells)) % 2])
-
-
 def test_too_deep_partitions_and_such_of_too_many_pages_are_refused():
     too_deep = chain([0, 1] * 22)
     thin = Cells(np.full((1 << 17, 2), (17, 0)), np.stack([np.arange(1 << 17), np.zeros(1 << 17, int)], axis=1))

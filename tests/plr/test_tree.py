@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plr_helpers import chain, contents_of_planes, random_partition
+from plr_helpers import contents_of_planes, random_partition
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
@@ -12,14 +12,6 @@ from plr_jax.plr.faces import face_points, overlapping_leaves, parents_of_corner
 from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.tree import Cells, corner_bits, tree_of
-
-
-def test_split_halves_one_axis_lower_child_first():
-    root = Cells.root(2)
-    np.testing.assert_array_equal(root.boxes(Box((-1, 2), (3, 4))), [[[-1, 2]], [[3, 4]]])
-    lo, hi = root.split(np.array([1])).split(np.array([0, 1])).boxes(Box((0, 0), (8, 8)))
-    np.testing.assert_array_equal(lo, [[0, 0], [4, 0], [0, 4], [0, 6]])
-    np.testing.assert_array_equal(hi, [[4, 4], [8, 4], [8, 6], [8, 8]])
 
 
 @given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
@@ -31,14 +23,6 @@ def test_leaves_are_the_cells_in_one_order(seed, dim, num_splits):
     np.testing.assert_array_equal(shuffled[tree_of(shuffled).order].position, leaves.position)
     rows = np.concatenate([leaves.depth, leaves.position], axis=1).tolist()
     assert sorted(rows) == sorted(np.concatenate([cells.depth, cells.position], axis=1).tolist())
-
-
-def test_the_deepest_path_fits():
-    leaves = chain([0] * 60)
-    tree = tree_of(leaves)
-    assert len(tree.splits) == 61
-    np.testing.assert_array_equal(tree.order, np.arange(61))
-    np.testing.assert_array_equal(tree.leaves.position, leaves.position)
 
 
 def unit_boxes(cells):
