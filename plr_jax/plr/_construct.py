@@ -4,12 +4,13 @@ import os
 import warnings
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from plr_jax._arrays import as_number, require_function, require_integer, shortened
-from plr_jax._types import ArrayLike, CellwiseFn, ChangingFn, DistanceFn, FreeSpaceFn
+from plr_jax._types import ArrayLike, CellwiseFn, ChangingFn, DistanceFn, Distances, FreeSpaceFn, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import require_certifiable
@@ -18,14 +19,22 @@ from plr_jax.plr._proof import Origin, can_be_updated, certificate_of
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.folding import folding_of
+from plr_jax.plr.folding import Folding, folding_of
 from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
-from plr_jax.plr.sampling import FitRule, FoldedFn, FoldedWeights, Sampler, WeightFn, least_squares, sample_pattern
+from plr_jax.plr.sampling import (
+    FitRule,
+    Sampler,
+    WeightFn,
+    call_oracle,
+    folded_weights,
+    least_squares,
+    sample_pattern,
+)
 from plr_jax.plr.tree import Cells
-from plr_jax.plr.work import AskedFn, Checkpoint, as_executor, digest_of
+from plr_jax.plr.work import AskedFn, Checkpoint, digest_of
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
@@ -86,7 +95,10 @@ class BuildOptions:
             require_integer("num_samples", self.num_samples, 1)
             if self.num_samples > _MAX_SAMPLES:
                 raise ValueError(f"num_samples must be at most {_MAX_SAMPLES:,} a cell, got {self.num_samples:,}.")
-        as_executor(self.executor)
+        if self.executor is not None and not isinstance(self.executor, Executor):
+            raise ValueError(
+                f"executor must be a concurrent.futures.Executor or None, got {shortened(self.executor)}."
+            )
 
     @property
     def names(self) -> str:
@@ -220,8 +232,8 @@ def _build_leaves(
             kept = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
         distance_fn = AskedFn(distance_fn, options.executor, kept)
     if folding is not None:
-        domain, weight_fn = folding.box, FoldedWeights(weight_fn, folding)
-        distance_fn = FoldedFn(distance_fn, folding)
+        domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
+        distance_fn = partial(_of_folded, distance_fn, folding)
 
     # 3. Grow the partition.
     pattern, dense = (
@@ -244,6 +256,11 @@ def _build_leaves(
             message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
             warnings.warn(message, ConstructionInterrupted, stacklevel=4)
     return contents
+
+
+def _of_folded(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
+    """Distances of points that fold to given ones."""
+    return call_oracle(distance_fn, folding.unfolded(z))
 
 
 def proof_of(certified: bool | str) -> Proof:

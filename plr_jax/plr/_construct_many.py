@@ -96,13 +96,13 @@ def construct_many(
         seed=seed,
         options=options,
     )
-    done = Done.of(len(oracles), kept)
+    done = Done(len(oracles), kept)
     families: dict[int, list[int]] = {}
     for number in (number for number, file in enumerate(done.results) if file is None):
         oracle = oracles[number]
         of_family = as_family and isinstance(oracle, FamilyFn)
         families.setdefault(id(oracle.family) if of_family else -1 - number, []).append(number)
-    chunks = []
+    chunks: list[Chunk] = []
     for numbers in families.values():
         first = oracles[numbers[0]]
         if as_family and isinstance(first, FamilyFn):
@@ -111,9 +111,9 @@ def construct_many(
             )  # which only chooses sources in sight
             work = _Family(family_task(first, domain, limits, pattern), domain, model, limits.proof)
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
-            chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
+            chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
-            chunks.append(Chunk(numbers, partial(_file_alone, alone, first)))
+            chunks.append((numbers, partial(_file_alone, alone, first)))
     with tqdm(
         desc="construct_many",
         unit=" PLRs",
@@ -125,7 +125,6 @@ def construct_many(
     ) as progress:
         try:
             done.build(chunks, executor, progress)
-            done.finish()
         except KeyboardInterrupt:
             message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
+from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -217,7 +217,7 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf wher
 
 
 @dataclass(frozen=True, eq=False)
-class SharedFaces:
+class SharedFaces(Rows):
     """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common.
 
     Across the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans such an
@@ -230,9 +230,6 @@ class SharedFaces:
 
     def __len__(self) -> int:
         return len(self.axis)
-
-    def __getitem__(self, index) -> "SharedFaces":
-        return SharedFaces(self.lower[index], self.upper[index], self.axis[index])
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:

@@ -10,8 +10,8 @@ import os
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Sequence, Sized
-from dataclasses import dataclass, fields
-from typing import Any, TypeAlias, TypeVar, cast
+from dataclasses import dataclass
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,7 +20,7 @@ from tqdm import tqdm
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import body_size
 from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200
@@ -109,31 +109,6 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 
 
 NEVER = -np.inf
-
-
-Columns = TypeVar("Columns", bound="Rows")
-
-
-class Rows:
-    """What a dataclass inherits whose columns are arrays, or rows themselves, of equal length."""
-
-    def __getitem__(self: Columns, index: Any) -> Columns:
-        return type(self)(*(column[index] for column in self._columns()))
-
-    def append(self: Columns, *others: Any) -> Columns:
-        """These rows, followed by others."""
-        if not others:
-            return self
-        every = zip(self._columns(), *(other._columns() for other in others), strict=True)
-        return type(self)(
-            *(
-                np.concatenate(parts) if isinstance(parts[0], np.ndarray) else parts[0].append(*parts[1:])
-                for parts in every
-            )
-        )
-
-    def _columns(self) -> list[Any]:
-        return [getattr(self, column.name) for column in fields(cast(Any, self))]
 
 
 @dataclass(frozen=True, eq=False)

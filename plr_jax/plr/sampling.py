@@ -1,7 +1,7 @@
 """Sampling the distance function in cells, and fitting a plane to each cell."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TypeAlias
@@ -15,7 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.folding import Folding
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, Rows
 
 # Where a cell is sampled, the same in every cell, and what of a fit depends on that alone.
 
@@ -180,7 +180,7 @@ WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 
 @dataclass(frozen=True, eq=False)
-class CellFit:
+class CellFit(Rows):
     """Samples of a batch of cells and the plane fitted to each.
 
     Attributes:
@@ -209,15 +209,6 @@ class CellFit:
     def __len__(self) -> int:
         return len(self.cells)
 
-    def __getitem__(self, index) -> "CellFit":
-        columns = {name: getattr(self, name)[index] for name in _COLUMNS}
-        return replace(self, cells=self.cells[index], **columns)
-
-    def append(self, other: "CellFit") -> "CellFit":
-        """These cells followed by others that were sampled alike."""
-        columns = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in _COLUMNS}
-        return replace(self, cells=self.cells.append(other.cells), **columns)
-
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
         """Cells in which not every sample has weight 1."""
@@ -240,9 +231,6 @@ class CellFit:
     def noise(self) -> Float[np.ndarray, "cells"]:
         """Errors too small for a split to mend: below the resolution of 32-bit floats, weighted as errors are."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
-
-
-_COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,34 +347,15 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 
 
-@dataclass(frozen=True, eq=False)
-class FoldedFn:
-    """A distance function of folded points: the distance of a point that folds there."""
-
-    distance_fn: DistanceFn
-    folding: Folding
-
-    def __call__(self, z: Points) -> Distances:
-        """Distances at folded points."""
-        return call_oracle(self.distance_fn, self.folding.unfolded(z))
-
-
-@dataclass(frozen=True, eq=False)
-class FoldedWeights:
+def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
     """Weights of errors at folded points: the largest of all points of the domain that fold there, 0 without any.
 
-    Where the caller has no ``weight_fn``, every point of the domain has weight 1.
+    Without a ``weight_fn`` every point of the domain has weight 1.
     """
-
-    weight_fn: WeightFn | None
-    folding: Folding
-
-    def __call__(self, z: Points) -> Float[np.ndarray, "n"]:
-        """Weights at folded points."""
-        largest = np.zeros(len(z))
-        for x, inside in self.folding.images(z):
-            weight = 1.0 if self.weight_fn is None else call_weights(self.weight_fn, x[inside])
-            largest[inside] = np.maximum(largest[inside], weight)
-            if self.weight_fn is None and largest.all():
-                break
-        return largest
+    largest = np.zeros(len(z))
+    for x, inside in folding.images(z):
+        weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])
+        largest[inside] = np.maximum(largest[inside], weight)
+        if weight_fn is None and largest.all():
+            break
+    return largest

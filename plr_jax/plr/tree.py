@@ -1,8 +1,9 @@
 """Dyadic cells: the nodes of a binary space partition that halves one axis at a time; and their tree."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
+from typing import Any, Self, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -14,8 +15,30 @@ PLACING = 2.0**-21
 """How far beside its cell, in widths of the domain, a query may place a point, as it computes in 32 bits."""
 
 
+class Rows:
+    """Base of a dataclass whose columns, arrays or rows themselves, are of equal length.
+
+    Fields of other types are what all rows share.
+    """
+
+    def __getitem__(self, index: Any) -> Self:
+        return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
+
+    def append(self, *others: Self) -> Self:
+        """These rows, followed by others."""
+        columns = {}
+        for name, column in self._columns().items():
+            parts = [getattr(other, name) for other in others]
+            columns[name] = column.append(*parts) if isinstance(column, Rows) else np.concatenate([column, *parts])
+        return cast(Any, replace)(self, **columns)
+
+    def _columns(self) -> dict[str, Any]:
+        every = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
+        return {name: column for name, column in every.items() if isinstance(column, np.ndarray | Rows)}
+
+
 @dataclass(frozen=True, eq=False)
-class Cells:
+class Cells(Rows):
     """A batch of dyadic cells of one domain.
 
     Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth`` of the domain
@@ -41,16 +64,6 @@ class Cells:
     def dim(self) -> int:
         """Number of axes."""
         return self.depth.shape[1]
-
-    def __getitem__(self, index) -> "Cells":
-        return Cells(self.depth[index], self.position[index])
-
-    def append(self, *others: "Cells") -> "Cells":
-        """These cells followed by the others."""
-        parts = (self, *others)
-        return Cells(
-            np.concatenate([part.depth for part in parts]), np.concatenate([part.position for part in parts])
-        )
 
     def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
         """Lower and upper corners of the cells in the units of the domain."""

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -31,12 +32,6 @@ _RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, bytes, checksum
 _NUM_POINTS = 256  # at which distance functions are told apart
 
 
-def require_path(checkpoint: object) -> None:
-    """``ValueError`` unless it names a file."""
-    if not isinstance(checkpoint, str | os.PathLike):
-        raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(checkpoint)}.")
-
-
 class Checkpoint:
     """The file of some work.
 
@@ -53,7 +48,8 @@ class Checkpoint:
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
-        require_path(path)
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(path)}.")
         self._path, self._head, self.records = Path(path), _MAGIC + digest, dict[bytes, bytes]()
         data = b""
         with suppress(FileNotFoundError):
@@ -167,13 +163,6 @@ class AskedFn:
             return call_oracle(self.distance_fn, x)
 
 
-def as_executor(executor: object) -> Executor | None:
-    """An executor, or None; raises ``ValueError`` if it is neither."""
-    if executor is not None and not isinstance(executor, Executor):
-        raise ValueError(f"executor must be a concurrent.futures.Executor or None, got {shortened(executor)}.")
-    return executor
-
-
 def _submitted(executor: Executor, distance_fn: DistanceFn, x: Points) -> "Future[Distances]":
     """The answer to come; one that never will, if the executor is broken already."""
     try:
@@ -184,26 +173,21 @@ def _submitted(executor: Executor, distance_fn: DistanceFn, x: Points) -> "Futur
         return future
 
 
-@dataclass(frozen=True, eq=False)
-class Chunk:
-    """Some of the parts, by their numbers, and what gives their bytes, in a process of its own perhaps."""
-
-    numbers: list[int]
-    results: Callable[[], list[bytes]]
+Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
+"""Numbers of some parts, and a function that returns the bytes of each, in a process of its own perhaps."""
 
 
-@dataclass(frozen=True, eq=False)
 class Done:
-    """The bytes of the parts that are done, None for the others, and where they are kept."""
+    """The bytes of the parts that are done, None for the others.
 
-    results: list[bytes | None]
-    checkpoint: Checkpoint | None
+    Args:
+        total: The number of parts.
+        checkpoint: The file that keeps what is done; None: no file.
+    """
 
-    @classmethod
-    def of(cls, total: int, checkpoint: Checkpoint | None) -> "Done":
-        """Those of a checkpoint, if there is one."""
+    def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
-        return cls([records.get(_key(number)) for number in range(total)], checkpoint)
+        self.results, self._checkpoint = [records.get(_key(number)) for number in range(total)], checkpoint
 
     @property
     def count(self) -> int:
@@ -213,7 +197,7 @@ class Done:
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
         """Build chunks; what a pool does not finish because a worker of it dies, by threads of this process.
 
-        If interrupted (Ctrl-C), what is done is here.
+        If interrupted (Ctrl-C), what is done is here. Once all parts are done, the checkpoint is put in order.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:
@@ -221,11 +205,8 @@ class Done:
             self._build_by(threads, left, progress)
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
-
-    def finish(self) -> None:
-        """Put the checkpoint in order, once all parts are done."""
-        if self.checkpoint is not None and self.count == len(self.results):
-            self.checkpoint.finish()
+        if self._checkpoint is not None and self.count == len(self.results):
+            self._checkpoint.finish()
 
     def _build_by(self, pool: Executor, chunks: list[Chunk], progress: tqdm) -> list[Chunk]:
         """Build chunks by a pool; these are left of them when it breaks."""
@@ -233,26 +214,27 @@ class Done:
         try:
             with suppress(BrokenExecutor):
                 for chunk in chunks:
-                    futures[pool.submit(chunk.results)] = chunk
+                    futures[pool.submit(chunk[1])] = chunk
             for future in as_completed(futures):
                 with suppress(BrokenExecutor):
-                    self._keep(futures[future], future.result())
-                    progress.update(len(futures[future].numbers))
+                    numbers, _ = futures[future]
+                    self._keep(numbers, future.result())
+                    progress.update(len(numbers))
         except KeyboardInterrupt:
             for future, chunk in futures.items():
                 if future.done() and not future.cancelled() and future.exception() is None:
-                    self._keep(chunk, future.result())
+                    self._keep(chunk[0], future.result())
             raise
         finally:
             for future in futures:
                 future.cancel()
-        return [chunk for chunk in chunks if self.results[chunk.numbers[0]] is None]
+        return [chunk for chunk in chunks if self.results[chunk[0][0]] is None]
 
-    def _keep(self, chunk: Chunk, results: list[bytes]) -> None:
+    def _keep(self, numbers: list[int], results: list[bytes]) -> None:
         """Put the parts of a chunk in their places."""
-        if self.checkpoint is not None and self.results[chunk.numbers[0]] is None:
-            self.checkpoint.add({_key(number): data for number, data in zip(chunk.numbers, results, strict=True)})
-        for number, data in zip(chunk.numbers, results, strict=True):
+        if self._checkpoint is not None and self.results[numbers[0]] is None:
+            self._checkpoint.add({_key(number): data for number, data in zip(numbers, results, strict=True)})
+        for number, data in zip(numbers, results, strict=True):
             self.results[number] = data
 
 

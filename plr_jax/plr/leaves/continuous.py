@@ -37,45 +37,31 @@ from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, 
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array, csr_array
+    from scipy.sparse import csr_array
 
 _RESIDUAL, _MOST_STEPS = 1e-10, 200  # of conjugate gradients
 
 
-def weighted_squares(
-    of_parameters: "csr_array | csc_array", normal: Float[np.ndarray, "leaves terms terms"]
-) -> "csr_array":
-    """The normal matrix of parameters that are mapped to all coefficients, from those of the leaves' coefficients."""
-    from scipy.sparse import bsr_array
+def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
+    """Solve equations whose matrix is symmetric and positive definite.
 
-    each = np.arange(len(normal) + 1)
-    return of_parameters.T @ (bsr_array((normal, each[:-1], each)) @ of_parameters)
+    In up to two dimensions by its factors. In more of them factors fill in far more than the matrix holds, so there
+    by conjugate gradients, to a relative residual of 1e-10, and by factors only if that takes long. Where samples
+    determine all values, the matrix divided by its diagonal is well conditioned, whatever the sizes of leaves.
+    """
+    from scipy.sparse import csc_array, diags_array
+    from scipy.sparse.linalg import cg, splu
 
-
-def solve_sparse(normal: "csr_array", moments: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Solve equations whose matrix is symmetric and positive definite, by its factors."""
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
+    if dim > _MOST_DIM_OF_FACTORS:
+        scale = 1 / np.sqrt(normal.diagonal())
+        scaled = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
+        values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
+        if not failed:
+            return scale * values
     # Without pivoting, the factors of such a matrix fill in a quarter as much.
     options = {"SymmetricMode": True}
     factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return factors.solve(moments)
-
-
-def solve_by_descent(normal: "csr_array", moments: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """The same by conjugate gradients, to a relative residual of 1e-10; by factors if that takes long.
-
-    In more than two dimensions factors fill in far more than the matrix holds. Where samples determine all values,
-    the matrix divided by its diagonal is well conditioned, whatever the sizes of leaves.
-    """
-    from scipy.sparse import diags_array
-    from scipy.sparse.linalg import cg
-
-    scale = 1 / np.sqrt(normal.diagonal())
-    scaled = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
-    values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
-    return solve_sparse(normal, moments) if failed else scale * values
 
 
 _NUM_POINTS = 32
@@ -127,20 +113,6 @@ class FaceTests:
 
 
 # Leaves as polynomials of the place in their cells.
-
-
-def numbers_of_polynomials(
-    order: int, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-) -> Float[np.ndarray, "leaves count"]:
-    """What a query reads of every leaf: the numbers of its cell, and coefficients by powers of the place in it.
-
-    Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``. The exponent of
-    such a number, as a 32-bit float, says how many such intervals span the domain.
-    """
-    is_inf = np.isinf(coefficients[:, 0])
-    powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(order, cells.dim))
-    powers[is_inf, 0] = np.inf
-    return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
@@ -205,16 +177,15 @@ class StoredValues:
         """The values."""
         return self.offset + self.step * self.code
 
-
-def write_values(body: BitWriter, stored: StoredValues) -> None:
-    """Append ties and values."""
-    partition, space = stored.partition, stored.partition.space
-    body.write_floats(np.array([stored.offset, stored.step]))
-    body.write_set(partition.unreachable)
-    body.write_set(~partition.tied[partition.between_reachable()])
-    surplus = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
-    for level in _level_slices(space.level):
-        body.write_signed(surplus[level])
+    def write(self, body: BitWriter) -> None:
+        """Append ties and values."""
+        partition, space = self.partition, self.partition.space
+        body.write_floats(np.array([self.offset, self.step]))
+        body.write_set(partition.unreachable)
+        body.write_set(~partition.tied[partition.between_reachable()])
+        surplus = self.code - np.rint(space.prediction @ self.code).astype(np.int64)
+        for level in _level_slices(space.level):
+            body.write_signed(surplus[level])
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
@@ -354,7 +325,7 @@ class _Rounds:
         step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
         stored = StoredValues.rounded(partition, values, max(step, float(np.finfo(np.float32).tiny)))
         body = BitWriter()
-        write_values(body, stored)
+        stored.write(body)
         num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
 
@@ -366,20 +337,21 @@ def fit_values(
 
     With them come the errors, sampled distance minus function; 0 where a sample has no weight.
     """
-    from scipy.sparse import diags_array
+    from scipy.sparse import bsr_array, diags_array
 
     numbers = numbers_of_leaves(order, space)
     functions = design(order, (fit.pattern.u + 1) / 2)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
-    squares = weighted_squares(numbers, (weight @ products).reshape(-1, terms, terms))
+    each = np.arange(leaves + 1)
+    of_leaves = bsr_array(((weight @ products).reshape(-1, terms, terms), each[:-1], each))
+    squares = numbers.T @ (of_leaves @ numbers)
     is_predicted = np.diff(space.prediction.indptr) > 0
     surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
-    solve = solve_sparse if fit.cells.dim <= _MOST_DIM_OF_FACTORS else solve_by_descent
-    values = mean + solve(normal, numbers.T @ moments)
+    values = mean + solve_normal(normal, numbers.T @ moments, fit.cells.dim)
     errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
     return values, np.where(weight > 0, errors, 0.0)
 
@@ -426,7 +398,7 @@ class Continuous(LinearLeafModel):
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         """Append what the file keeps of the leaves."""
-        write_values(body, stored)
+        stored.write(body)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
         """What :meth:`write` appended."""
@@ -453,8 +425,15 @@ class Continuous(LinearLeafModel):
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf."""
-        return numbers_of_polynomials(self.order, cells, coefficients)
+        """What a query reads of every leaf: the numbers of its cell, and coefficients by powers of the place in it.
+
+        Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``. The exponent
+        of such a number, as a 32-bit float, says how many such intervals span the domain.
+        """
+        is_inf = np.isinf(coefficients[:, 0])
+        powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
+        powers[is_inf, 0] = np.inf
+        return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
     def below_cones(
         self,

@@ -9,7 +9,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -24,7 +24,7 @@ from plr_jax.plr.certificate import bounds_of_pieces
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
-from plr_jax.plr.tree import Cells, Tree, grown_domain, tree_of, tree_of_axes
+from plr_jax.plr.tree import Cells, Rows, Tree, grown_domain, tree_of, tree_of_axes
 
 # 1. Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use.
 
@@ -34,7 +34,7 @@ _MOST_TRIED = 4
 
 
 @dataclass(frozen=True, eq=False)
-class ConeBoxes:
+class ConeBoxes(Rows):
     """Boxes and the source of the best cone for each.
 
     Attributes:
@@ -52,23 +52,12 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
-    def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
-        columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
-        return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)
+    def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
+        return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
 
-    def append(self, *others: "ConeBoxes") -> "ConeBoxes":
+    def append(self, *others: Self) -> Self:
         """These boxes followed by others."""
-        parts = (self, *others)
-        columns = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("source", "error", "integral")
-        )
-        return ConeBoxes(
-            self.domain,
-            self.negligible,
-            self.cells.append(*(other.cells for other in others)),
-            self.visible.append(*(other.visible for other in others)),
-            *columns,
-        )
+        return replace(super().append(*others), visible=self.visible.append(*(other.visible for other in others)))
 
     def new_halves(
         self,
