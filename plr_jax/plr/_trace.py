@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_points, shortened
-from plr_jax._types import ArrayLike, Sources
+from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, leaf_of
 from plr_jax.plr.leaves import as_sourced
 
@@ -93,70 +93,52 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be traced, got {shortened(plr)}.")
     sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
+    if workspace is not None:
+        from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
+
+        if not isinstance(workspace, Workspace):
+            raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
+        if plr.dim != 2:
+            raise ValueError(f"A workspace is of the plane, but the PLR has {plr.dim} dimensions; trace without one.")
     starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
-    way = _ways(sources.parents, source_of_leaf[leaf_of(plr, starts[inside])])
-    paths, counts = _paths(starts[inside], sources.points, way)
-    ends_at_goal = sources.distances[way[:, -1]] <= _ROUNDING * float(plr.domain.width.max())
-    status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
-    if workspace is not None:
-        is_clear = _legs_are_clear(plr, sources, workspace, starts[inside], way)
-        status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
-    lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
-    size = len(starts)
-    return Traces(
-        _spread(paths, inside, size, np.nan),
-        _spread(counts, inside, size, 0),
-        _spread(lengths, inside, size, np.inf),
-        _spread(status, inside, size, TraceStatus.OUTSIDE),
-        workspace is not None,
-    )
+    first = source_of_leaf[leaf_of(plr, starts[inside])]
 
+    # 1. Sources that paths go by, up to the roots, which are repeated; no file has sources that lead in a circle.
+    ways = [first]
+    while (sources.parents[ways[-1]] != ways[-1]).any():
+        ways.append(sources.parents[ways[-1]])
+    way = np.stack(ways, axis=1)
 
-def _ways(parents: Int[np.ndarray, "sources"], first: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n most"]:
-    """Sources that paths go by, up to the roots, which are repeated; no file has sources that lead in a circle."""
-    way = [first]
-    while (parents[way[-1]] != way[-1]).any():
-        way.append(parents[way[-1]])
-    return np.stack(way, axis=1)
-
-
-def _paths(
-    starts: Float[np.ndarray, "n dim"], points: Float[np.ndarray, "sources dim"], way: Int[np.ndarray, "n most"]
-) -> tuple[Float[np.ndarray, "n steps dim"], Int[np.ndarray, "n"]]:
-    """Points of the paths, each once but for the last, which is repeated, and how many they are without that."""
-    paths = np.concatenate([starts[:, None], points[way]], axis=1)
-    at_source = (starts == points[way[:, 0]]).all(axis=1)
+    # 2. Points of the paths, each once but for the last, which is repeated, and how many they are without that.
+    paths = np.concatenate([starts[inside, None], sources.points[way]], axis=1)
+    at_source = (starts[inside] == sources.points[first]).all(axis=1)
     counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)
     paths[at_source, :-1] = paths[at_source, 1:]
-    return paths[:, : max(1, counts.max(initial=1))], counts
+    paths = paths[:, : max(1, counts.max(initial=1))]
 
+    # 3. How each ends, and whether a leg meets a wall; that of a source to the next is tested once for all paths.
+    rounding = _ROUNDING * float(plr.domain.width.max())
+    is_at_goal = sources.distances[way[:, -1]] <= rounding
+    status = np.where(is_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    if workspace is not None:
+        used, place = np.unique(way, return_inverse=True)
+        tolerance, onward = max(workspace.tolerance, rounding), sources.points[sources.parents[used]]
+        is_clear = workspace.is_visible(sources.points[used], onward, tolerance)[place.reshape(way.shape)].all(axis=1)
+        is_clear &= workspace.is_visible(starts[inside], sources.points[first], tolerance)
+        status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
+    lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
 
-def _legs_are_clear(
-    plr: PLR,
-    sources: Sources,
-    workspace: "Workspace",
-    starts: Float[np.ndarray, "n 2"],
-    way: Int[np.ndarray, "n most"],
-) -> Bool[np.ndarray, "n"]:
-    """Whether no leg of each path meets a wall; that of a source to the next is tested once for all paths."""
-    from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
+    # 4. The same with rows for starts outside.
+    def spread(column: Shaped[np.ndarray, "some *row"], fill: int | float) -> Shaped[np.ndarray, "n *row"]:
+        every = np.full((len(starts), *column.shape[1:]), fill, column.dtype)
+        every[inside] = column
+        return every
 
-    if not isinstance(workspace, Workspace):
-        raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
-    if plr.dim != 2:
-        raise ValueError(f"A workspace is of the plane, but the PLR has {plr.dim} dimensions; trace without one.")
-    tolerance = max(workspace.tolerance, _ROUNDING * float(plr.domain.width.max()))
-    used, place = np.unique(way, return_inverse=True)
-    onward = workspace.is_visible(sources.points[used], sources.points[sources.parents[used]], tolerance)
-    first = workspace.is_visible(starts, sources.points[way[:, 0]], tolerance)
-    return first & onward[place.reshape(way.shape)].all(axis=1)
-
-
-def _spread(
-    rows: Shaped[np.ndarray, "some *row"], index: Int[np.ndarray, "some"], size: int, fill: int | float
-) -> Shaped[np.ndarray, "n *row"]:
-    """An array with some rows, and what fills the others."""
-    result = np.full((size, *rows.shape[1:]), fill, rows.dtype)
-    result[index] = rows
-    return result
+    return Traces(
+        spread(paths, np.nan),
+        spread(counts, 0),
+        spread(lengths, np.inf),
+        spread(status, TraceStatus.OUTSIDE),
+        workspace is not None,
+    )

@@ -272,7 +272,7 @@ class PriceSearch:
             is_final = self._look(member, of_member, least_share)
             larger = self._tree(member, _LAST * of_member if is_final else of_member, least_share, is_final)
             trees[member] = (
-                larger if self._fits(larger) else self._largest(member, trees[member], larger, least_share)
+                larger if self._share(larger) <= 1 else self._largest(member, trees[member], larger, least_share)
             )
         return Forest(trees)
 
@@ -303,9 +303,6 @@ class PriceSearch:
         num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
-    def _fits(self, tree: PricedTree) -> bool:
-        return len(tree) <= self._limits.max_leaves and tree.num_bytes <= self._limits.max_bytes
-
     def _share(self, tree: PricedTree) -> float:
         """Of what the limits allow, how much a tree takes."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
@@ -319,7 +316,7 @@ class PriceSearch:
             aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high)))
             middle = self._tree(member, price, least_share)
-            if self._fits(middle):
+            if self._share(middle) <= 1:
                 fits = largest = middle
             else:
                 beyond = middle

@@ -12,7 +12,7 @@ nothing: a mesh point in a wall has several nodes.
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -60,131 +60,80 @@ class NodalSpace:
         return self.tree.cells.dim
 
 
-class _Agreement(NamedTuple):
-    """Points, in the coordinates of two leaves, where their functions agree: corners of what they share of a face."""
-
-    leaf: Int[np.ndarray, "2 points"]
-    t: Float[np.ndarray, "2 points dim"]
-
-
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
     """The functions that are continuous across the tied faces; unreachable leaves, of which none has one, hold none.
 
     Raises ``ValueError`` if the leaves hang on one another so often that working that out would take too long.
     """
-    from scipy.sparse import csr_array
+    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse.csgraph import connected_components
 
-    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(unreachable))
-    require_few(len(tied) * 2 ** (tree.cells.dim - 1), most)
-    agreement = _agreement(tree, tied)
-    group = _united(tree, agreement)
-    hanging, on_leaf, at = _hanging(group, agreement)
-    num_groups = int(group.max()) + 1
+    cells, dim, bits = tree.leaves, tree.cells.dim, corner_bits(tree.cells.dim)
+    num_nodes = len(cells) << dim
+    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(cells))
+    require_few(len(tied) * 2 ** (dim - 1), most)
+    # 1. The corners of what two leaves share of a face, in the coordinates of both: there their functions agree.
+    leaves, places = [], []
+    for axis in range(dim):
+        faces, w = tied[tied.axis == axis], bits[bits[:, axis] == 0].astype(float)
+        x = face_points(cells, faces, w).reshape(-1, dim)
+        leaves.append(np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1))
+        places.append(np.ldexp(x, cells.depth[leaves[-1]]) - cells.position[leaves[-1]])
+        places[-1][:, :, axis] = [[1.0], [0.0]]  # across a seam too, where the upper leaf is at 0 of the domain
+    leaf, t = np.concatenate(leaves, axis=1), np.concatenate(places, axis=1)
+    is_end = (t == 0) | (t == 1)
+    is_corner = is_end.all(axis=2)
+    is_shared = is_corner.all(axis=0)
+    node = (leaf << dim) + t.astype(np.int64) @ (1 << np.arange(dim)[::-1])  # of those that are corners of the leaf
+    # 2. Nodes that are one point of tied leaves are one group; groups are numbered in the order of the nodes.
+    pairs = tuple(node[:, is_shared])
+    graph = coo_array((np.ones(len(pairs[0])), pairs), (num_nodes, num_nodes))
+    _, label = connected_components(graph, directed=False)
+    _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
+    group, num_groups = np.argsort(np.argsort(first_node))[group], len(first_node)
+    # 3. Groups that hang on another leaf, the first of several; they follow from groups that are free.
+    hangs = is_corner & ~is_corner[::-1]
+    hanging, first = np.unique(group[node[hangs]], return_index=True)
+    on_leaf, at = leaf[::-1][hangs][first], t[::-1][hangs][first]
     is_free = np.ones(num_groups)
     is_free[hanging] = 0
     of_groups = resolve(_interpolation(group, on_leaf, at, hanging, (num_groups, num_groups)), is_free)
-    present = np.zeros(num_groups, bool)
-    present[group.reshape(len(unreachable), -1)[~unreachable]] = True
-    level = _levels(tree, group, num_groups)
-    if tree.cells.dim > 2:  # where a corner may hang on two leaves of which neither implies the other
-        rows = _disagreement(group, agreement, most)
+    # 4. The level of a group: the exponents of the denominators of its point, summed over the axes.
+    numerator = (cells.position[:, None] + bits).reshape(-1, dim)
+    depth = np.repeat(cells.depth, len(bits), axis=0)
+    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
+    level = np.zeros(num_groups, np.int64)
+    level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
+    # 5. In space a corner may hang on two leaves of which neither implies the other: their values must agree.
+    if dim > 2:
+        row = np.flatnonzero(~is_shared)
+        require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
+        below, above = (
+            _interpolation(group, leaf[side, row], t[side, row], np.arange(len(row)), (len(row), num_groups))
+            for side in range(2)
+        )
+        rows = below - above
         require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
         of_groups = of_groups @ eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
-    is_master = present.copy()
+    # 6. The masters: groups of reachable leaves that follow from no others.
+    is_master = np.zeros(num_groups, bool)
+    is_master[group.reshape(len(cells), -1)[~unreachable]] = True
     is_master[hanging] = False
     is_master &= of_groups.diagonal() == 1
     masters = np.flatnonzero(is_master)
     masters = masters[np.argsort(level[masters], kind="stable")]
     values = csr_array(of_groups[group][:, masters])
-    prediction = _prediction(tree, unreachable, group, masters, values)
-    return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
-
-
-def _agreement(tree: Tree, tied: SharedFaces) -> _Agreement:
-    cells, leaf, t = tree.leaves, [], []
-    bits = corner_bits(cells.dim)
-    for axis in range(cells.dim):
-        faces = tied[tied.axis == axis]
-        w = bits[bits[:, axis] == 0].astype(float)
-        x = face_points(cells, faces, w).reshape(-1, cells.dim)
-        leaves = np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1)
-        leaf.append(leaves)
-        t.append(np.ldexp(x, cells.depth[leaves]) - cells.position[leaves])
-        t[-1][:, :, axis] = [[1.0], [0.0]]  # across a seam too, where the upper leaf is at 0 of the domain
-    return _Agreement(np.concatenate(leaf, axis=1), np.concatenate(t, axis=1))
-
-
-def _united(tree: Tree, agreement: _Agreement) -> Int[np.ndarray, "nodes"]:
-    """Group of every node: those that are one point of leaves tied there are one, numbered in order of the nodes."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    corners = 2**tree.cells.dim
-    num_nodes = len(tree.node_of_leaf) * corners
-    both = np.all(_is_end(agreement.t), axis=(0, 2))
-    first, second = _node(agreement.leaf[:, both], agreement.t[:, both])
-    graph = coo_array((np.ones(len(first)), (first, second)), (num_nodes, num_nodes))
-    _, label = connected_components(graph, directed=False)
-    _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first_node))[group]
-
-
-def _hanging(
-    group: Int[np.ndarray, "nodes"], agreement: _Agreement
-) -> tuple[Int[np.ndarray, "hanging"], Int[np.ndarray, "hanging"], Float[np.ndarray, "hanging dim"]]:
-    """Groups that hang, the leaf that each hangs on (the first of several), and where."""
-    hangs, on_leaf, at = [], [], []
-    is_corner = np.all(_is_end(agreement.t), axis=2)
-    for side in range(2):
-        here = is_corner[side] & ~is_corner[1 - side]
-        hangs.append(group[_node(agreement.leaf[side, here], agreement.t[side, here])])
-        on_leaf.append(agreement.leaf[1 - side, here])
-        at.append(agreement.t[1 - side, here])
-    hanging, first = np.unique(np.concatenate(hangs), return_index=True)
-    return hanging, np.concatenate(on_leaf)[first], np.concatenate(at)[first]
-
-
-def _is_end(t: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-    return (t == 0) | (t == 1)
-
-
-def _node(leaf: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Int[np.ndarray, "*n"]:
-    """Node of a leaf's corner."""
-    dim = t.shape[-1]
-    return (leaf << dim) + t.astype(np.int64) @ (1 << np.arange(dim)[::-1])
-
-
-def _levels(tree: Tree, group: Int[np.ndarray, "nodes"], num_groups: int) -> Int[np.ndarray, "groups"]:
-    """Sum over the axes of the exponents of the denominators of every group's point."""
-    cells, bits = tree.leaves, corner_bits(tree.cells.dim)
-    numerator = (cells.position[:, None] + bits).reshape(-1, cells.dim)
-    depth = np.repeat(cells.depth, len(bits), axis=0)
-    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
-    exponent = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth))
-    level = np.zeros(num_groups, np.int64)
-    level[group] = exponent.sum(axis=1)
-    return level
-
-
-def _prediction(
-    tree: Tree,
-    unreachable: Bool[np.ndarray, "leaves"],
-    group: Int[np.ndarray, "nodes"],
-    masters: Int[np.ndarray, "masters"],
-    values: "csr_array",
-) -> "csr_array":
-    """For every master the mean over its nodes of the middle of the edge that a split halved there."""
-    from scipy.sparse import csr_array
-
+    # 7. A guess for each master: the mean, over its nodes, of the middle of the edge that a split halved there.
     ends, is_made = parents_of_corners(tree)
-    counts = is_made[..., None] & ~unreachable[ends >> tree.cells.dim] & ~unreachable[:, None, None]
-    master = np.full(int(group.max()) + 1, -1)
+    counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
+    master = np.full(num_groups, -1)
     master[masters] = np.arange(len(masters))
     row = np.broadcast_to(master[group].reshape(is_made.shape)[..., None], ends.shape)
     counts &= row >= 0
     weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(masters)), 1)
-    mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(masters), len(group)))
-    return csr_array(mean @ values)
+    mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(masters), num_nodes))
+    prediction = csr_array(mean @ values)
+    return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
 
 
 def _interpolation(
@@ -205,22 +154,6 @@ def _interpolation(
         corner = np.append(2 * corner[lower], 2 * corner[upper] + 1)
         point = np.append(point[lower], point[upper])
     return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
-
-
-def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: int) -> "csr_array":
-    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups.
-
-    Points that are corners of both leaves are left out: there the two values are one.
-    """
-    is_end = _is_end(agreement.t)
-    hangs = np.flatnonzero(~np.all(is_end, axis=(0, 2)))
-    require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
-    rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
-    below, above = (
-        _interpolation(group, leaf, t, rows, shape)
-        for leaf, t in zip(agreement.leaf[:, hangs], agreement.t[:, hangs], strict=True)
-    )
-    return below - above
 
 
 # What a leaf's function is made of: corner values (order 0), or corner values and derivatives (order 1).
@@ -323,68 +256,41 @@ def _derivatives(
 
 def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     """Numbers of order 1. Derivatives are by fractions of the domain, until each leaf scales them to its own size."""
-    from scipy.sparse import csr_array
-
-    kinds = corner_bits(space.dim)
-    num_groups = int(space.group.max()) + 1
-    of_masters = _free_numbers(space, kinds, num_groups)
-    is_free = np.ones((num_groups, len(kinds)))
-    is_free[space.hanging] = 0
-    of_groups = resolve(_hanging_numbers(space, kinds, num_groups), is_free.ravel()) @ of_masters
-    depth = np.repeat(space.tree.leaves.depth, len(kinds), axis=0)
-    scale = np.ldexp(1.0, -(depth @ kinds.T))
-    is_answered = np.diff(space.values.indptr) > 0
-    rows, kind = np.nonzero(np.broadcast_to(is_answered[:, None], scale.shape))
-    pick = csr_array(
-        (scale[rows, kind], (rows * len(kinds) + kind, space.group[rows] * len(kinds) + kind)),
-        (scale.size, num_groups * len(kinds)),
-    )
-    return csr_array(pick @ of_groups)
-
-
-def _free_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num_groups: int) -> "csr_array":
-    """Values and mean derivatives of the groups that do not hang; rows of the others are zero."""
-    from scipy.sparse import csr_array
-
-    nodes = np.arange(len(space.group))
-    corners = 2**space.dim
-    depth = np.repeat(space.tree.leaves.depth, corners, axis=0)
-    answered = np.diff(space.values.indptr) > 0
-    answered &= ~np.isin(space.group, space.hanging)
-    total = csr_array((num_groups * len(kinds), len(space.masters)))
-    for kind, along in enumerate(kinds):
-        # Where two cells meet, the difference over the smaller one is the better derivative.
-        weight = np.ldexp(1.0, depth @ along) * answered
-        weight /= np.bincount(space.group, weight)[space.group] + (weight == 0)
-        mean = csr_array((weight, (space.group * len(kinds) + kind, nodes)), (num_groups * len(kinds), len(nodes)))
-        total = total + mean @ (_differences(space, along) @ space.values)
-    return csr_array(total)
-
-
-def _differences(space: NodalSpace, along: Int[np.ndarray, "dim"]) -> "csr_array":
-    """The (mixed) derivative along some axes of every leaf's multilinear function at its corners."""
     from scipy.sparse import csr_array, diags_array, kron
 
-    table = np.ones((1, 1))
-    for is_along in along:
-        table = np.kron(table, [[-1, 1], [-1, 1]] if is_along else np.eye(2))
-    depth = np.repeat(space.tree.leaves.depth, len(table), axis=0)
-    every_leaf = kron(diags_array(np.ones(len(space.tree.node_of_leaf))), csr_array(table))
-    return csr_array(diags_array(np.ldexp(1.0, depth @ along)) @ every_leaf)
-
-
-def _hanging_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num_groups: int) -> "csr_array":
-    """Values and derivatives of the groups that hang, from the numbers of the leaf each hangs on."""
-    from scipy.sparse import csr_array
-
-    size = len(kinds)
-    depth = space.tree.leaves.depth[space.on_leaf]
-    to_leaf = np.tile(np.ldexp(1.0, -(depth @ kinds.T)), size)  # by corner, then kind
-    group = space.group.reshape(-1, 2**space.dim)[space.on_leaf]
-    columns = (group[:, :, None] * size + np.arange(size)).reshape(len(group), size * size)
+    kinds, group, leaf_depth = corner_bits(space.dim), space.group, space.tree.leaves.depth
+    size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
+    depth = np.repeat(leaf_depth, size, axis=0)
+    is_answered = np.diff(space.values.indptr) > 0
+    # 1. Groups that do not hang: means of the (mixed) derivatives, at corners, of the leaves' multilinear functions.
+    is_averaged = is_answered & ~np.isin(group, space.hanging)
+    of_masters = csr_array((num_groups * size, len(space.masters)))
+    for kind, along in enumerate(kinds):
+        table = np.ones((1, 1))
+        for is_along in along:
+            table = np.kron(table, [[-1, 1], [-1, 1]] if is_along else np.eye(2))
+        every_leaf = kron(diags_array(np.ones(len(leaf_depth))), csr_array(table))
+        differences = csr_array(diags_array(np.ldexp(1.0, depth @ along)) @ every_leaf)
+        # Where two cells meet, the difference over the smaller one is the better derivative.
+        weight = np.ldexp(1.0, depth @ along) * is_averaged
+        weight /= np.bincount(group, weight)[group] + (weight == 0)
+        mean = csr_array((weight, (group * size + kind, nodes)), (num_groups * size, len(nodes)))
+        of_masters = of_masters + mean @ (differences @ space.values)
+    # 2. Groups that hang, from the numbers of the leaf that each hangs on.
+    on_depth, on_group = leaf_depth[space.on_leaf], group.reshape(-1, size)[space.on_leaf]
+    to_leaf = np.tile(np.ldexp(1.0, -(on_depth @ kinds.T)), size)  # by corner, then kind
+    columns = (on_group[:, :, None] * size + np.arange(size)).reshape(len(on_group), size * size)
     rows, weights = [], []
     for kind, along in enumerate(kinds):
-        weights.append(_derivatives(1, space.at, along) * to_leaf * np.ldexp(1.0, depth @ along)[:, None])
+        weights.append(_derivatives(1, space.at, along) * to_leaf * np.ldexp(1.0, on_depth @ along)[:, None])
         rows.append(np.broadcast_to((space.hanging * size + kind)[:, None], columns.shape))
-    table = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
-    return csr_array(table, (num_groups * size, num_groups * size))
+    entries = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
+    of_hanging = csr_array(entries, (num_groups * size, num_groups * size))
+    is_free = np.ones((num_groups, size))
+    is_free[space.hanging] = 0
+    of_groups = resolve(of_hanging, is_free.ravel()) @ csr_array(of_masters)
+    # 3. The numbers of all leaves, by corner, then kind.
+    scale = np.ldexp(1.0, -(depth @ kinds.T))
+    row, kind = np.nonzero(np.broadcast_to(is_answered[:, None], scale.shape))
+    place = row * size + kind, group[row] * size + kind
+    return csr_array(csr_array((scale[row, kind], place), (scale.size, num_groups * size)) @ of_groups)
