@@ -38,8 +38,7 @@ PLR_LAYERS = [
     ["portable"],
     ["_plr"],
     ["_stack"],
-    ["_certify"],
-    ["_best", "_trace"],
+    ["_trace"],
     ["_construct"],
     ["_construct_many"],
 ]

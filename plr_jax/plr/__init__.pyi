@@ -1,5 +1,5 @@
-from ._certify import certify as certify
 from ._construct import BuildOptions as BuildOptions
+from ._construct import certify as certify
 from ._construct import construct as construct
 from ._construct_many import construct_many as construct_many
 from ._plr import PLR as PLR

@@ -203,7 +203,7 @@ def test_an_interrupt_while_models_are_compared_keeps_what_is_built(monkeypatch)
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("plr_jax.plr._best._mean_error", interrupted)
+    monkeypatch.setattr("plr_jax.plr._construct._mean_error", interrupted)
     with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
         assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).num_leaves > 1
 
