@@ -128,7 +128,18 @@ class _FreeGraph:
         self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
         self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(goal), strict=True))
         if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
-            node, straight = self._straight_to_goal(space)
+            # Nodes near the goal that can go straight there, in order, and what that costs at the most.
+            change = self._changes(np.arange(self.goal), np.full(self.goal, self.goal))
+            near = np.argsort(costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
+            q, change = mesh.domain.at(self.points[near]), change[near]
+            free = np.flatnonzero(space.are_free(q, q + change))
+            q, change, straight = q[free], change[free], costs.motion.norm(change[free])
+            if costs.cost_map is not None:
+                box = np.minimum(q, q + change), np.maximum(q, q + change)
+                _, upper, pulls = cost_bounds(costs.motion, costs.cost_map, *box)
+                straight = straight * upper + pulled(pulls, change)
+            order = np.argsort(near[free])
+            node, straight = near[free][order], straight[order]
             place = np.searchsorted(self.begin, node, side="right")
             self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, self.goal)))
             self.cost = np.insert(self.cost, place, straight)
@@ -197,23 +208,6 @@ class _FreeGraph:
             cost = self.costs.of_motions(change, c, middle)
             a, b, cost = _cheapest_of_each(a, b, cost, len(self.points))
             yield a.astype(np.int32), b.astype(np.int32), cost
-
-    def _straight_to_goal(self, space: ConfigurationSpace) -> tuple[Edges, EdgeCosts]:
-        """Nodes near the goal that can go straight there, in order, and what that costs at the most."""
-        node = np.arange(self.goal)
-        change = self._changes(node, np.full(len(node), self.goal))
-        near = np.argsort(self.costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
-        domain = self.mesh.domain
-        q, change = domain.at(self.points[near]), change[near]
-        free = np.flatnonzero(space.are_free(q, q + change))
-        q, change = q[free], change[free]
-        cost, cost_map = self.costs.motion.norm(change), self.costs.cost_map
-        if cost_map is not None:
-            box = np.minimum(q, q + change), np.maximum(q, q + change)
-            _, upper, pulls = cost_bounds(self.costs.motion, cost_map, *box)
-            cost = cost * upper + pulled(pulls, change)
-        order = np.argsort(near[free])
-        return near[free][order], cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""

@@ -25,9 +25,10 @@ def samples(domain, num=500):
     [
         (Box([0], [3]), None),
         (Box((0, -1), (2, 0), periodic=(False, True)), None),
-        (
+        pytest.param(
             Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True)),
             (((0, 1), 1.0), ((2,), 1e-4)),
+            marks=pytest.mark.full,
         ),
     ],
 )

@@ -42,18 +42,6 @@ def test_points_are_located_as_by_search_and_those_outside_in_the_nearest_cell()
         np.testing.assert_array_equal(mesh.locate(x), expected)
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_fractions_and_points_of_cells_are_inverse(dim):
-    mesh, rng = random_mesh(3, dim), np.random.default_rng(0)
-    cell, t = rng.integers(len(mesh.state), size=50), rng.random((50, dim))
-    x = mesh.fractions(cell, t)
-    np.testing.assert_allclose(mesh.local(cell, x), t, atol=1e-12)
-    lo, hi = mesh.boxes
-    np.testing.assert_allclose(mesh.domain.lo + mesh.domain.width * x, lo[cell] + t * (hi - lo)[cell], atol=1e-12)
-    np.testing.assert_allclose(mesh.widths, hi - lo, rtol=1e-12)
-    np.testing.assert_allclose(mesh.volumes.sum(), mesh.domain.width.prod(), rtol=1e-12)
-
-
 @pytest.mark.parametrize("periodic", [(False, False), (True, False)])
 def test_cells_are_connected_through_open_faces(periodic):
     for seed in range(4):
@@ -67,22 +55,6 @@ def test_cells_are_connected_through_open_faces(periodic):
                     graph.add_edge(a, b)
         cell = int(mesh.open_cells[seed])
         assert set(np.flatnonzero(mesh.connected_to(cell))) == networkx.node_connected_component(graph, cell)
-
-
-def test_closed_cells_count_as_blocked_and_all_that_is_said_of_cells_alone_stays():
-    mesh = random_mesh(4, 2, rounds=3, blocked=0.2)
-    _ = mesh.open_cells, mesh.is_open_face, mesh.faces, mesh.boxes, mesh.nodes, mesh.locate(mesh.nodes)
-    closed = np.random.default_rng(0).random(len(mesh.state)) < 0.5
-    other = mesh.without(closed)
-    np.testing.assert_array_equal(other.state, np.where(closed, BLOCKED, mesh.state))
-    fresh = Mesh(mesh.domain, mesh.tree, other.state, mesh.is_flush)
-    np.testing.assert_array_equal(other.open_cells, np.flatnonzero(~closed & (mesh.state != BLOCKED)))
-    np.testing.assert_array_equal(other.is_open_face, fresh.is_open_face)
-    np.testing.assert_array_equal(other.faces.lower, fresh.faces.lower)
-    assert not set(other.faces.lower) & set(np.flatnonzero(closed))
-    assert len(other.all_faces) == len(mesh.all_faces) == len(other.is_open_face)
-    np.testing.assert_array_equal(other.corners, fresh.corners)
-    np.testing.assert_array_equal(other.locate(mesh.nodes), fresh.locate(mesh.nodes))
 
 
 def test_cells_are_what_the_space_proves():

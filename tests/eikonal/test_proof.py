@@ -119,7 +119,7 @@ def test_the_two_ends_of_a_periodic_axis_are_one_place(max_bytes):
         *(([True], max_leaves, 0.01) for max_leaves in range(20, 121, 25)),
         ([False] * 2, 200, 0.2),
         ([True] * 2, 200, 0.2),
-        ([False] * 3, 600, 0.7),
+        pytest.param([False] * 3, 600, 0.7, marks=pytest.mark.full),
         ([True] * 4, 300, 2.0),
     ],
 )
@@ -133,6 +133,7 @@ def test_bounds_hold_in_an_empty_box_of_any_dimension_and_are_close_on_a_line(pe
     assert plr.max_error < np.inf and np.mean(upper - lower) < gap * distance.mean()
 
 
+@pytest.mark.full
 def test_bounds_hold_around_a_box_in_space():
     """Obstacles as high as the domain: the distance is that of the plane and the height, by Pythagoras."""
     plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])

@@ -132,15 +132,6 @@ def test_a_tolerance_ends_it_early():
     assert 4 <= few.num_leaves < more.num_leaves < 1500
 
 
-@pytest.mark.full
-def test_more_leaves_are_closer_to_the_truth(plr):
-    plrs = [solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=max_leaves) for max_leaves in (50, 800)]
-    x = ROOM.sample_free(4000, 0)
-    lower = [np.asarray(plr.bounds(x)[0]).mean() for plr in (plrs[0], plr, plrs[1])]
-    gaps = VisibilityGraph(ROOM, GOAL)(x).mean() - lower
-    assert gaps[1] < 0.7 * gaps[0] and gaps[2] < 0.7 * gaps[1]
-
-
 def test_interrupts_keep_what_there_is():
     with pytest.warns(ConstructionInterrupted, match=r"Interrupted at \d+ of 600 cells"):
         plr = solve_eikonal(Interrupted(PlaneSpace(ROOM), 6), GOAL, max_leaves=600)

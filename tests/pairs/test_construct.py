@@ -108,13 +108,3 @@ def test_corners_seen_by_all_of_a_cell_are_seen_from_its_points(kind):
         own, corner = points[lists.cell[entry]], corners.points[lists.corner[entry]]
         free = workspace.is_free(own)
         assert workspace.is_visible(own[free], corner[free]).all()
-
-
-def test_a_wall_by_hand_and_no_wall():
-    """The corners of the near side are listed, and not the one that the wall hides from all of the cell."""
-    lists = grown(Workspace(((0, 0), (16, 16)), [box(6, 6, 10, 10)]), 64)
-    for x, near, hidden in (((1.0, 8.5), {(6, 6), (6, 10)}, (10, 6)), ((15.0, 7.5), {(10, 6), (10, 10)}, (6, 10))):
-        listed = set(map(tuple, listed_at(lists, x).tolist()))
-        assert near <= listed and hidden not in listed
-    _, lists, _, _ = grown(Workspace(TEN, []), 40)
-    assert len(lists.cells) == 1 and len(lists.corner) == 0

@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from grid_helpers import drawn, legal, mosaic, pairs_of_tiles
+from grid_helpers import legal, mosaic, pairs_of_tiles
 
 from plr_jax import GridGraph, construct_grid_pairs
-from plr_jax._arrays import runs
 from plr_jax.pairs.grid_corners import taut_corners
-from plr_jax.pairs.grid_query import BLOCK, sees, sight_of, tables_of
+from plr_jax.pairs.grid_query import BLOCK, sees, sight_of
 
 
 def all_open_paths(p, q, connectivity):
@@ -42,18 +41,6 @@ def test_cells_see_each_other_if_every_open_path_is_legal(connectivity):
         steps = [step for path in all_open_paths(start, end, connectivity) for step in pairwise(path)]
         legal_steps = [legal(free, a[0], a[1], b[0] - a[0], b[1] - a[1], connectivity) for a, b in steps]
         assert seen == (free[start] and all(legal_steps))
-
-
-@pytest.mark.parametrize("connectivity", [4, 8])
-def test_blocks_of_a_cell_hold_its_corners(connectivity):
-    free = np.random.default_rng(0).random((20, 30)) > 0.2
-    tables = tables_of(free, connectivity)
-    first, corners = taut_corners(free, connectivity)
-    begin = np.asarray(tables.group_block)[np.arange(free.size + 1) // 16] + np.asarray(tables.cell_block)
-    cell, place = runs(np.diff(first))
-    blocks = np.asarray(tables.blocks)
-    np.testing.assert_array_equal(blocks[begin[cell] + place // BLOCK, place % BLOCK], corners)
-    assert begin[-1] == len(blocks) < len(corners)
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
@@ -98,14 +85,6 @@ def test_windows_are_what_searches_find(connectivity, radius):
     np.testing.assert_array_equal(found[inside], asked_cell_by_cell(graph, goals, positions, radius)[inside])
     again = jax.jit(lambda pairs, x, y: pairs.window(x, y, radius))(pairs, goals, positions)
     np.testing.assert_array_equal(again, found)
-
-
-def test_ways_around_walls_inside_of_a_window():
-    free = drawn("......", ".####.", ".#..#.", ".#.##.", ".#....")
-    found = np.asarray(construct_grid_pairs(GridGraph(free)).window([[0, 4]], [[2, 2]], 2))
-    # From the lower end of the second column right, up, left and down again: 3 + 4 + 5 + 4 steps.
-    around = [[4, 5, 6, 7, 8], [3, -1, -1, -1, -1], [2, -1, 18, 19, -1], [1, -1, 17, -1, -1], [0, -1, 16, 15, 14]]
-    assert found[0].tolist() == around
 
 
 @pytest.mark.usefixtures("unchecked_types")

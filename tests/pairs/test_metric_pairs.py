@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from pair_helpers import WALL, exact
 
-from plr_jax import Box, MetricPairs, VisibilityGraph, construct_metric_pairs, load, save
+from plr_jax import Box, MetricPairs, construct_metric_pairs, load, save
 
 
 def manhattan(x, y):
@@ -42,15 +41,6 @@ def test_jit_vmap_grad_and_shapes(pairs):
     (dx, dy), swapped = gradients(x[0], y[0]), gradients(y[0], x[0])
     np.testing.assert_allclose(dx, swapped[1], atol=1e-6)
     np.testing.assert_allclose(dy, swapped[0], atol=1e-6)
-
-
-def test_around_a_wall_by_an_exact_oracle():
-    oracle = VisibilityGraph(WALL, (1, 1))
-    around = construct_metric_pairs(oracle.between, WALL.bounds, max_leaves=1000, leaf="continuous")
-    x, y = WALL.sample_free(2000, 1), WALL.sample_free(2000, 2)
-    truth, answer = exact(WALL, x, y), np.asarray(around(x, y))
-    assert np.isfinite(answer).all()
-    assert np.abs(answer - truth).mean() < 0.5 * np.abs(np.linalg.norm(x - y, axis=1) - truth).mean()
 
 
 def test_a_line_that_closes():
