@@ -68,14 +68,21 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
-def as_queries(value: ArrayLike) -> Shaped[np.ndarray, "..."]:
-    """Points to be answered, as an array of whatever type and shape they have; masked numbers are NaN."""
+def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
+    """Points to be answered, of a dimension if it is given, as 32-bit or 64-bit floats; masked numbers are NaN."""
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
-        return np.asarray(value)
+        points = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
+    if points.dtype.name.startswith(("bfloat", "float8")):  # of which NumPy does not know that they are floats
+        points = points.astype(np.float32)
+    if points.dtype.kind not in "iubf":
+        raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
+    if dim is not None and (points.ndim == 0 or points.shape[-1] != dim):
+        raise ValueError(f"Points must have shape (..., {dim}), got {points.shape}.")
+    return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
 
 
 def with_inf_for_masked(value: ArrayLike) -> ArrayLike:

@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.query import as_array
 
 
 @jax.tree_util.register_dataclass
@@ -45,7 +44,7 @@ class MetricPairs:
         Raises:
             ValueError: If points have another last axis than ``dim``.
         """
-        x, y = (p if isinstance(p, jax.Array) else as_array(p) for p in (x, y))
+        x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
             if points.ndim == 0 or points.shape[-1] != self.dim:
                 raise ValueError(f"{name} must be points of shape (..., {self.dim}), got {points.shape}.")

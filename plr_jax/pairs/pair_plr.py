@@ -13,6 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, UInt8
 
+from plr_jax._arrays import as_queries
 from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -30,7 +31,7 @@ from plr_jax.pairs.stored import Stored
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import HeldFile, held
 from plr_jax.plr.frame import Outside, as_outside, require_resolved
-from plr_jax.plr.query import as_array, length_of
+from plr_jax.plr.query import length_of
 
 if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
@@ -221,7 +222,7 @@ class PairPLR(HeldFile):
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
         """Points counted from the middle of the domain: those of NumPy in their own precision."""
-        x = x if isinstance(x, jax.Array) else as_array(x)
+        x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):

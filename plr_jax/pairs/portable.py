@@ -33,14 +33,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import runs
+from plr_jax._arrays import as_queries, runs
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import Stored, distances_table
 from plr_jax.plr.frame import Frame, frame_of
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, place_along
 from plr_jax.plr.portable.javascript import js_file_reader
-from plr_jax.plr.portable.numpy import LeafTable, as_float_points
+from plr_jax.plr.portable.numpy import LeafTable
 from plr_jax.plr.portable.writers import ends_of
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
@@ -191,7 +191,7 @@ class NumpyPairs:
 
     def _answered(self, x: ArrayLike, y: ArrayLike, answer: Callable[..., np.ndarray]) -> np.ndarray:
         """Answers to pairs of points, part by part."""
-        x, y = (as_float_points(each, 2).astype(np.float64, copy=False) for each in (x, y))
+        x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
         except ValueError:

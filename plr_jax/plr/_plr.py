@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import no_attribute, padded, padded_size, require_integer, shortened
+from plr_jax._arrays import as_queries, no_attribute, padded, padded_size, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
@@ -34,7 +34,6 @@ from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
     PointPlacement,
     TableStack,
-    as_array,
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
@@ -128,7 +127,7 @@ class PLR(HeldFile):
         """Tables to ask and points to ask them for."""
         if isinstance(x, jax.Array):
             return self.tables, x
-        x = as_array(x)
+        x = as_queries(x)
         if x.dtype == np.float64 and x.shape[-1:] == (self.dim,):
             tables, placement = self._placing
             return tables, x if placement is None else placement(x)

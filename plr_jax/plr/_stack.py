@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import mixed, padded, size_in_eighths
+from plr_jax._arrays import as_queries, mixed, padded, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, as_plrs
 from plr_jax.plr.frame import (
@@ -29,7 +29,7 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.query import as_array, evaluate_tables
+from plr_jax.plr.query import evaluate_tables
 from plr_jax.plr.tables import Picked, Tables, Trie, laid_out
 from plr_jax.plr.tree import Cells
 
@@ -243,7 +243,7 @@ class PLRStack:
                 none of the three.
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
-        x = x if isinstance(x, jax.Array) else as_array(x)
+        x = x if isinstance(x, jax.Array) else as_queries(x)
         if index.dtype.kind not in "iu":
             raise ValueError(f"index must hold integers, numbers of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:

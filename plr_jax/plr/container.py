@@ -240,9 +240,6 @@ def read_bytes(path: str | os.PathLike) -> bytes:
         return data
 
 
-# Integers of whole bytes, which the header of a PLR file is made of.
-
-
 # What a file keeps of a folding, after the domain: floats little-endian.
 #
 # f64     the center, one number an axis
@@ -259,15 +256,8 @@ def folding_to_bytes(folding: Folding) -> bytes:
     """What the file keeps."""
     marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
-    return b"".join(
-        [
-            folding.center.astype("<f8").tobytes(),
-            bytes([folding.is_turned]),
-            axes,
-            bytes([len(folding.mirrors)]),
-            marks.tobytes(),
-        ]
-    )
+    center, num_mirrors = folding.center.astype("<f8").tobytes(), bytes([len(folding.mirrors)])
+    return center + bytes([folding.is_turned]) + axes + num_mirrors + marks.tobytes()
 
 
 def read_folding(reader: ByteReader, domain: Box) -> Folding:

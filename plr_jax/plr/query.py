@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, UInt32
 
-from plr_jax._arrays import as_queries, padded_size
-from plr_jax._types import ArrayLike
+from plr_jax._arrays import padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie
@@ -46,7 +45,8 @@ def _in_floats(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
     """Points in 32 or 64 bits, which must resolve the domain."""
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    _require_real(x)
+    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
     if tables.unresolved:
         require_resolved(x.dtype, tables.unresolved)
@@ -374,22 +374,6 @@ evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnames="outside")
 """The same with another answer outside the domain."""
 
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
-
-
-def as_array(x: ArrayLike) -> np.ndarray:
-    """Points on the host. Integers become floats here, where they cannot wrap around, and masked numbers NaN."""
-    x = as_queries(x)
-    if x.dtype in (np.float32, np.float64):
-        return x
-    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
-        return x.astype(np.float64)
-    _require_real(x)  # which JAX cannot even be shown
-    return x
-
-
-def _require_real(x: Array | np.ndarray) -> None:
-    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
-        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
 
 
 @dataclass(frozen=True, eq=False)

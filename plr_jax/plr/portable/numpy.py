@@ -339,7 +339,7 @@ class NumpyPLR:
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
         """Answers of that shape to points, chunk by chunk."""
-        x, program = as_float_points(x, self.dim), self._program
+        x, program = as_queries(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
         answers = np.empty((len(flat), *shape), of_type)
@@ -415,15 +415,3 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
         return NumpyPLR(read_bytes(path))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
-
-
-def as_float_points(x: ArrayLike, dim: int) -> np.ndarray:
-    """Points as an array of 32-bit or 64-bit floats; masked numbers are NaN."""
-    x = as_queries(x)
-    if x.dtype.name == "bfloat16":  # of which NumPy does not know that they are floats
-        x = x.astype(np.float32)
-    if x.dtype.kind not in "iubf":
-        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-    if x.ndim == 0 or x.shape[-1] != dim:
-        raise ValueError(f"Points must have shape (..., {dim}), got {x.shape}.")
-    return x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)
