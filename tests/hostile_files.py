@@ -45,53 +45,30 @@ _PATTERNS = [
 
 def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
     """A file's bytes after one to four mutations."""
+    kinds = ("flip", "insert", "delete", "repeat", "cut", *(("replace",) * 5 if text else ("overwrite",) * 2))
     for _ in range(int(rng.choice([1, 1, 1, 2, 3, 4]))):
-        kinds = (_flip, _insert, _delete, _repeat, _cut, *((_replace_token,) * 5 if text else (_overwrite,) * 2))
-        data = kinds[rng.integers(len(kinds))](data, rng)
+        at = int(rng.integers(len(data) + 1))
+        behind = at + int(rng.choice([1, 4, 40, 400]))
+        match kinds[rng.integers(len(kinds))]:
+            case "flip":
+                flipped = bytes(byte ^ 1 << rng.integers(8) for byte in data[at : at + 1])
+                data = data[:at] + flipped + data[at + 1 :]
+            case "insert":
+                data = data[:at] + rng.bytes(int(rng.integers(1, 9))) + data[at:]
+            case "delete":
+                data = data[:at] + data[behind:]
+            case "repeat":
+                data = data[:behind] + data[at:behind] * int(rng.choice([1, 2, 30])) + data[behind:]
+            case "cut":
+                data = data[:at] if rng.random() < 0.3 else data
+            case "overwrite":
+                pattern = _PATTERNS[rng.integers(len(_PATTERNS))]
+                data = data[:at] + pattern + data[at + len(pattern) :]
+            case "replace":  # a number or an innermost list or mapping gives way to something extreme
+                if tokens := list((_NUMBER if rng.random() < 0.8 else _BRACKETS).finditer(data)):
+                    token, extreme = tokens[rng.integers(len(tokens))], _EXTREMES[rng.integers(len(_EXTREMES))]
+                    data = data[: token.start()] + extreme.encode() + data[token.end() :]
     return data
-
-
-def _flip(data: bytes, rng: np.random.Generator) -> bytes:
-    at = int(rng.integers(len(data) + 1))
-    return data[:at] + bytes(byte ^ 1 << rng.integers(8) for byte in data[at : at + 1]) + data[at + 1 :]
-
-
-def _insert(data: bytes, rng: np.random.Generator) -> bytes:
-    at = int(rng.integers(len(data) + 1))
-    return data[:at] + rng.bytes(int(rng.integers(1, 9))) + data[at:]
-
-
-def _delete(data: bytes, rng: np.random.Generator) -> bytes:
-    first, last = _slice(data, rng)
-    return data[:first] + data[last:]
-
-
-def _repeat(data: bytes, rng: np.random.Generator) -> bytes:
-    first, last = _slice(data, rng)
-    return data[:last] + data[first:last] * int(rng.choice([1, 2, 30])) + data[last:]
-
-
-def _cut(data: bytes, rng: np.random.Generator) -> bytes:
-    return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.3 else data
-
-
-def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
-    at, pattern = int(rng.integers(len(data) + 1)), _PATTERNS[rng.integers(len(_PATTERNS))]
-    return data[:at] + pattern + data[at + len(pattern) :]
-
-
-def _replace_token(data: bytes, rng: np.random.Generator) -> bytes:
-    """A number or an innermost list or mapping gives way to something extreme."""
-    tokens = list((_NUMBER if rng.random() < 0.8 else _BRACKETS).finditer(data))
-    if not tokens:
-        return data
-    token = tokens[rng.integers(len(tokens))]
-    return data[: token.start()] + _EXTREMES[rng.integers(len(_EXTREMES))].encode() + data[token.end() :]
-
-
-def _slice(data: bytes, rng: np.random.Generator) -> tuple[int, int]:
-    first = int(rng.integers(len(data) + 1))
-    return first, first + int(rng.choice([1, 4, 40, 400]))
 
 
 def hostile(reader: Reader, valid: list[bytes], seed: int, number: int) -> bytes:

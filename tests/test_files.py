@@ -15,17 +15,9 @@ MANY_DIGITS = "Exceeds the limit"
 ALIASES = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
 
 
-def refused(read, name, content, message, tmp_path):
-    """Fails unless the reader refuses such a file by its name, as all do."""
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(ValueError, match=re.escape(f"{name}: ") + ".*" + message):
-        read(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+HEADER = "type octile\nheight {}\nwidth 2\nmap\n..\n"
+HOSTILE = {
+    "a.json": [
         ("[" * 100_000, "recursion"),
         ("[" * 200 + "]" * 200, DEEP),
         ("[" * 33 + "]" * 33, DEEP),
@@ -36,16 +28,7 @@ def refused(read, name, content, message, tmp_path):
         (b'{"a": "\xff"}', "expected text in UTF-8"),
         (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
     ],
-    ids=range(9),
-)
-def test_hostile_json_is_refused_by_name(content, message, tmp_path):
-    for read in (scenes.load, scenes.read_polygons):
-        refused(read, "a.json", content, message, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+    "a.yaml": [
         (ALIASES, "neither aliases nor tags are read.* line 2"),
         ("a: &a {x: 1}\nb: {<<: [*a, *a]}", "neither aliases nor tags"),
         ("a: &a [*a]", "neither aliases nor tags"),
@@ -63,20 +46,33 @@ def test_hostile_json_is_refused_by_name(content, message, tmp_path):
         ("\x00", "control characters"),
         (b"\xff", "expected text in UTF-8"),
     ],
-    ids=range(16),
+    "a.map": [
+        (HEADER.format("9" * 5000), MANY_DIGITS),
+        (HEADER.format("9" * 50), "cut short"),
+        (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
+    ],
+    "a.scen": [
+        (b"version 1\n\xff", "expected text"),
+        ("version 1\n" + "x" * 10**6, r"line 2: .{1,400}$"),
+    ],
+}
+READERS = {
+    "a.json": (scenes.load, scenes.read_polygons),
+    "a.yaml": (scenes.read_map_server, scenes.read_cost_map),
+    "a.map": (scenes.read_map,),
+    "a.scen": (scenes.read_scen,),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [(name, number) for name, table in HOSTILE.items() for number in range(len(table))]
 )
-def test_hostile_yaml_is_refused_by_name(content, message, tmp_path):
-    for read in (scenes.read_map_server, scenes.read_cost_map):
-        refused(read, "a.yaml", content, f"(?s:.*){message}", tmp_path)
-
-
-def test_hostile_grids_are_refused_by_name(tmp_path):
-    header = "type octile\nheight {}\nwidth 2\nmap\n..\n"
-    refused(scenes.read_map, "a.map", header.format("9" * 5000), MANY_DIGITS, tmp_path)
-    refused(scenes.read_map, "a.map", header.format("9" * 50), "cut short", tmp_path)
-    refused(scenes.read_map, "a.map", b" " * (2**24 + 1), "at most 16,777,216 bytes", tmp_path)
-    refused(scenes.read_scen, "a.scen", b"version 1\n\xff", "expected text", tmp_path)
-    refused(scenes.read_scen, "a.scen", "version 1\n" + "x" * 10**6, r"line 2: .{1,400}$", tmp_path)
+def test_hostile_files_are_refused_by_name(name, number, tmp_path):
+    path, (content, message) = tmp_path / name, HOSTILE[name][number]
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    for read in READERS[name]:
+        with pytest.raises(ValueError, match=re.escape(f"{name}: ") + "(?s:.*)" + message):
+            read(path)
 
 
 def test_documents_may_be_as_deep_and_as_large_as_allowed(tmp_path):
@@ -115,31 +111,25 @@ def test_a_name_that_no_file_can_have_is_refused():
             read("a\0b")
 
 
-def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("step", "error"), [("fsync", OSError), ("replace", OSError), ("fsync", KeyboardInterrupt)])
+def test_a_failure_or_an_interrupt_leaves_the_old_file_and_nothing_else(step, error, tmp_path, monkeypatch):
     path = tmp_path / "file"
     write_atomically(path, b"old")
 
     def fail(*_):
-        raise OSError("disk full")
+        raise error("disk full")
 
-    for step in ("fsync", "replace"):
-        with monkeypatch.context() as patch, pytest.raises(OSError, match="disk full"):
-            patch.setattr(os, step, fail)
-            write_atomically(path, b"new")
-        assert path.read_bytes() == b"old"
-        assert os.listdir(tmp_path) == ["file"]
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(error, match="disk full"):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old" and os.listdir(tmp_path) == ["file"]
 
 
-def test_the_file_has_the_permissions_of_any_new_file(tmp_path):
-    write_atomically(tmp_path / "ours", b"")
-    (tmp_path / "usual").write_bytes(b"")
-    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "usual")]
-    assert modes[0] == modes[1]
-
-
-def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path):
-    path = tmp_path / "file"
-    path.write_bytes(b"old")
+def test_a_file_has_the_permissions_of_any_new_file_or_of_the_one_that_it_replaces(tmp_path):
+    path, usual = tmp_path / "file", tmp_path / "usual"
+    write_atomically(path, b"old")
+    usual.write_bytes(b"")
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(usual.stat().st_mode)
     for mode in (0o600, 0o664, 0o755, 0o444):
         path.chmod(mode)
         write_atomically(path, b"new")
@@ -168,16 +158,6 @@ def test_errors_name_the_file_and_not_a_temporary_one(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(OSError, match=r"disk full: '[^']*file'$"):
         write_atomically(tmp_path / "file", b"new")
-
-
-def test_an_interrupt_leaves_nothing_behind(tmp_path, monkeypatch):
-    def interrupt(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "fsync", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(tmp_path / "file", b"new")
-    assert os.listdir(tmp_path) == []
 
 
 def test_a_link_is_followed_and_a_pipe_is_not_replaced(tmp_path):
