@@ -34,10 +34,10 @@ from dataclasses import dataclass, replace
 from decimal import Context, Decimal
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
 from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax.geometry.box import Box
@@ -346,21 +346,14 @@ def _decimals(numbers: list[float]) -> bytes | None:
     return bytes([decimals]) + b"".join(map(signed_varint, integers))
 
 
-if TYPE_CHECKING:
-    from jaxtyping import Array, UInt8
-
-Held = TypeVar("Held", bound="HeldFile")
 _SIZE_BYTES = 4
 
 
 class HeldFile:
     """What is made of a file's bytes alone: the bytes, their label, and how much memory the tables take."""
 
-    if TYPE_CHECKING:
-        tables: Any
-        file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
-
-        def __init__(self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]) -> None: ...
+    tables: Any
+    file: Any
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
@@ -381,7 +374,7 @@ class HeldFile:
         """
         return Header.read(self.to_bytes()).label
 
-    def with_label(self: Held, label: str) -> Held:
+    def with_label(self, label: str) -> Any:
         """The same with another label.
 
         Args:
@@ -396,8 +389,8 @@ class HeldFile:
         require_label(label)
         if label == self.label:
             return self
-        data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
-        return type(self)(cast(Any, held(data)))
+        made_of: Any = type(self)
+        return made_of(held(replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()))
 
     @property
     def resident_bytes(self) -> int:
@@ -407,7 +400,7 @@ class HeldFile:
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
 
-def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":
+def held(data: bytes) -> UInt8[np.ndarray, "padded"]:
     """Bytes of a file as an array of one of few sizes: padded with zeros, and last of all how many they are."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
