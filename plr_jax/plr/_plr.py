@@ -128,7 +128,7 @@ class PLR(HeldFile):
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_queries(x)
-        if x.dtype == np.float64 and x.shape[-1:] == (self.dim,):
+        if x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,):
             tables, placement = self._placing
             return tables, x if placement is None else placement(x)
         return self.tables, x

@@ -17,6 +17,7 @@ from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
+_SHIFTS = np.uint32(WORD_BITS - 1)  # a mask, which tells the compiler that no shift is by 32 bits or more
 _ENDS_IN_DOUBLE = 2.0**-44
 """How well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly."""
 
@@ -34,7 +35,7 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float
         is_outside, answer = outside_domain(tables.folding, x)
         value = evaluate_tables(replace(tables, folding=None), _folded(tables.folding, x, is_outside))
     else:
-        x = _wrapped(tables, x)
+        x = _wrapped(tables, x) if tables.periodic else x
         row = find_row(tables, jax.lax.stop_gradient(x))
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
@@ -93,7 +94,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
     """
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _folded(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
-    row = find_row(tables, _wrapped(tables, x))
+    row = find_row(tables, _wrapped(tables, x) if tables.periodic else x)
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
 
@@ -110,7 +111,7 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
         # Slot of points in given blocks.
         mask, right, start = tables.pages.bits
         word = gather(tables.pages.words, index)
-        return shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
+        return (word >> (start[0] & _SHIFTS)) + (word & _joined_bits(places, mask, right))
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, places, index)
     return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
@@ -126,8 +127,8 @@ def _index_in_block(
         word = gather(table, block)
         for slot in range(axes):
             bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
-            index = (index << bits) | shift_right(within, blocks.shift[axis] - bits)
+            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & _SHIFTS)) - np.uint32(1))
+            index = (index << bits) | (within >> ((blocks.shift[axis] - bits) & _SHIFTS))
             axis += 1
         if number == 0:
             start = word >> np.uint32(axes * blocks.width)
@@ -209,8 +210,6 @@ def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*ba
     A compiler may round the product and the difference at once in one part of a query and apart in another. That
     moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
     """
-    if not tables.periodic:
-        return x
     columns = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
     for axis in tables.periodic:
         along, frame = jax.lax.stop_gradient(columns[axis]), tables.frame[:, axis].astype(x.dtype)
@@ -310,7 +309,9 @@ def _joined_bits(
     places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
-    return reduce(jnp.bitwise_or, [shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)])
+    return reduce(
+        jnp.bitwise_or, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(places)]
+    )
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
@@ -337,11 +338,6 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
 def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
     """Entries of a table at indices that it has."""
     return table.at[index].get(mode="promise_in_bounds")
-
-
-def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
-    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
-    return x >> (by & np.uint32(WORD_BITS - 1))
 
 
 @jax.custom_jvp
