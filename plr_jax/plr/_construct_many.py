@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -72,7 +72,16 @@ def construct_many(
         ValueError: If there are no distance functions, the checkpoint is of other work, or as for :func:`construct`.
         OSError: If the checkpoint cannot be read or written.
     """
-    oracles, domain, model, proof = _as_functions(oracles), Box.of(domain), leaf_model(leaf), proof_of(certified)
+    try:
+        oracles = list(oracles)
+    except TypeError:
+        raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
+    if not oracles:
+        raise ValueError("construct_many needs one distance function at least, got none.")
+    for number, oracle in enumerate(oracles):
+        if not callable(oracle):
+            raise ValueError(f"oracles must be functions, that of number {number} is {shortened(oracle)}.")
+    domain, model, proof = Box.of(domain), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
     executor, checkpoint = options.executor, options.checkpoint
     options = replace(options, executor=None, checkpoint=None)
@@ -109,7 +118,7 @@ def construct_many(
             pattern = sample_pattern(
                 domain.dim, model.num_samples, 0, int(seed)
             )  # which only chooses sources in sight
-            work = _Family(family_task(first, domain, limits, pattern), domain, model, limits.proof)
+            work = partial(_family_files, family_task(first, domain, limits, pattern), leaf_model(model.name), proof)
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
             chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
@@ -131,37 +140,16 @@ def construct_many(
     return [None if file is None else PLR(held(file)) for file in done.results]
 
 
-def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:
-    try:
-        oracles = list(oracles)
-    except TypeError:
-        raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
-    if not oracles:
-        raise ValueError("construct_many needs one distance function at least, got none.")
-    for number, oracle in enumerate(oracles):
-        if not callable(oracle):
-            raise ValueError(f"oracles must be functions, that of number {number} is {shortened(oracle)}.")
-    return oracles
-
-
-@dataclass(frozen=True, eq=False)
-class _Family:
-    """Files of members of a family."""
-
-    task: FamilyTask
-    domain: Box
-    leaf: LeafModel
-    proof: Proof
-
-    def __call__(self, oracles: Sequence[FamilyFn]) -> list[bytes]:
-        leaf, files = leaf_model(self.leaf.name), []
-        for oracle, (tree, stored) in zip(oracles, self.task(oracles), strict=True):
-            contents = Contents(self.domain, leaf, tree, stored)
-            if self.proof is not Proof.NONE:
-                root = oracle.cell_sources(grown_domain(self.domain))
-                contents = replace(contents, certificate=certificate_of(contents, root, self.proof))
-            files.append(encode(contents))
-        return files
+def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
+    """Files of some members of a family."""
+    files = []
+    for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
+        contents = Contents(task.domain, leaf, tree, stored)
+        if proof is not Proof.NONE:
+            root = oracle.cell_sources(grown_domain(task.domain))
+            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+        files.append(encode(contents))
+    return files
 
 
 def _file_alone(build: Callable[[DistanceFn], Any], oracle: DistanceFn) -> list[bytes]:

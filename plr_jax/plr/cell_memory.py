@@ -84,29 +84,19 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         held.append(np.stack([piece[row], column]))
     piece, column = np.concatenate(held, axis=1)
+    # Lower distances to those by way of the sources, of a piece that holds each point, that they see.
     for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
-        _lower(found, visible, piece[some], column[some], x)
+        pair, row = run_members(visible.first_pair, piece[some])
+        source, sources = visible.source[pair], visible.sources
+        place = visible.cell[piece[some][row]], column[some][row]
+        dx, dy = (x[place] - sources.points[source]).T
+        length = sources.distances[source] + np.sqrt(dx * dx + dy * dy)
+        by_all = visible.by_all[pair]
+        np.minimum.at(found, tuple(each[by_all] for each in place), length[by_all])
+        unsure = np.flatnonzero(~by_all & (length < found[place]))
+        seen = unsure[visible.see(source[unsure], x[place][unsure])]
+        np.minimum.at(found, tuple(each[seen] for each in place), length[seen])
     return found
-
-
-def _lower(
-    found: Float[np.ndarray, "cells k"],
-    visible: CellSources,
-    piece: Int[np.ndarray, "held"],
-    column: Int[np.ndarray, "held"],
-    x: Float[np.ndarray, "cells k 2"],
-) -> None:
-    """Lower distances at points to those by way of the sources, of a piece that holds each, that they see."""
-    pair, row = run_members(visible.first_pair, piece)
-    source, sources = visible.source[pair], visible.sources
-    place = visible.cell[piece[row]], column[row]
-    dx, dy = (x[place] - sources.points[source]).T
-    length = sources.distances[source] + np.sqrt(dx * dx + dy * dy)
-    by_all = visible.by_all[pair]
-    np.minimum.at(found, tuple(each[by_all] for each in place), length[by_all])
-    unsure = np.flatnonzero(~by_all & (length < found[place]))
-    seen = unsure[visible.see(source[unsure], x[place][unsure])]
-    np.minimum.at(found, tuple(each[seen] for each in place), length[seen])
 
 
 def _keys(cells: Cells) -> list[_Key]:

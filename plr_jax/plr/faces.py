@@ -176,7 +176,10 @@ def touching_leaves(
 ) -> Int[np.ndarray, "2 pairs"]:
     """All pairs of one of some leaves and one of others that have a face, an edge or a corner in common."""
     is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
-    holds = _holding(tree, some), _holding(tree, others)
+    holds = np.zeros((2, len(tree.child)), bool)  # which nodes hold one of some leaves, and one of the others
+    holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
+    for splits in reversed(tree.splits):
+        holds[:, splits] = holds[:, tree.child[splits]] | holds[:, tree.child[splits] + 1]
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
@@ -184,15 +187,6 @@ def touching_leaves(
         return stays
 
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
-
-
-def _holding(tree: Tree, leaves: Int[np.ndarray, "some"]) -> Bool[np.ndarray, "nodes"]:
-    """Which nodes hold one of some leaves, in the order of the tree's traversal."""
-    holds = np.zeros(len(tree.child), bool)
-    holds[tree.node_of_leaf[leaves]] = True
-    for splits in reversed(tree.splits):
-        holds[splits] = holds[tree.child[splits]] | holds[tree.child[splits] + 1]
-    return holds
 
 
 def _contacts(

@@ -1,6 +1,6 @@
 """Points of a domain mirrored into a part of it, where all that a PLR stores is known of the rest as well."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -138,37 +138,23 @@ _SAME_PLACE = 1e-9  # of a coordinate, or of the domain's width
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     """The folding that halves a domain most often; None if no symmetry makes it smaller."""
-    symmetries = _commuting(distance_fn.symmetries, domain) if isinstance(distance_fn, SymmetricFn) else []
-    folding = _mirrored(symmetries, domain, (domain.lo + domain.hi) / 2)
-    if folding is None or np.prod(folding.box.width) >= np.prod(domain.width) * (1 - _SAME_PLACE):
-        return None
-    return folding
-
-
-def _commuting(symmetries: Sequence[Symmetry], domain: Box) -> list[Symmetry]:
-    """Symmetries that are reflections, undo themselves, commute and do not mix periodic axes with others."""
-    kept: list[Symmetry] = []
-    for symmetry in symmetries:
-        matrix = symmetry.matrix
-        is_reflection = np.allclose(matrix, matrix.T, atol=_SAME) and np.allclose(
-            matrix @ matrix, np.eye(len(matrix)), atol=_SAME
-        )
+    # 1. Symmetries that are reflections, undo themselves, commute and do not mix periodic axes with others.
+    symmetries: list[Symmetry] = []
+    for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
+        matrix, dim = symmetry.matrix, domain.dim
+        is_symmetric = np.allclose(matrix, matrix.T, atol=_SAME)
+        is_involution = np.allclose(matrix @ matrix, np.eye(dim), atol=_SAME)
         mixes = np.abs(matrix - np.diag(np.diag(matrix))).max(axis=1) > _SAME
-        commutes = all(np.allclose(matrix @ other.matrix, other.matrix @ matrix, atol=_SAME) for other in kept)
-        if is_reflection and commutes and not (mixes & np.array(domain.periodic)).any():
-            kept.append(symmetry)
-    return kept
-
-
-def _mirrored(symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, "dim"]) -> Folding | None:
-    """The folding at the mirrors that cut the domain, which pass through a point near the start; None without any."""
+        commutes = all(np.allclose(matrix @ other.matrix, other.matrix @ matrix, atol=_SAME) for other in symmetries)
+        if is_symmetric and is_involution and commutes and not (mixes & np.array(domain.periodic)).any():
+            symmetries.append(symmetry)
     if not symmetries:
         return None
+
+    # 2. Axes, one a row, along which all reflections are diagonal; those along which they are already stay.
     matrices = np.stack([symmetry.matrix for symmetry in symmetries])
-    # Axes, one a row, along which all reflections are diagonal; those along which they are already stay.
-    dim = matrices.shape[1]
-    mixes = (np.abs(matrices * (1 - np.eye(dim))) > _SAME).any(axis=(0, 1))
-    axes = np.eye(dim)
+    mixes = (np.abs(matrices * (1 - np.eye(domain.dim))) > _SAME).any(axis=(0, 1))
+    axes = np.eye(domain.dim)
     if mixes.any():
         weight = 2.0 ** -np.arange(len(matrices))  # with which no two combinations of signs have one sum
         block = np.einsum("n,nij->ij", weight, matrices)[np.ix_(mixes, mixes)]
@@ -177,25 +163,24 @@ def _mirrored(symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, 
         vectors *= np.sign(vectors[largest, np.arange(len(largest))])
         axes[np.ix_(mixes, mixes)] = vectors.T
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
-    center = _fixed_point(symmetries, domain, start)
     mirrors = _with_pivots(signs < 0, ~np.array(domain.periodic))
-    if center is None or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
-        return None
-    folding = Folding(domain, center, axes, mirrors)
-    return replace(folding, mirrors=folding.cutting) if folding.cutting else None
 
-
-def _fixed_point(
-    symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, "dim"]
-) -> Float[np.ndarray, "dim"] | None:
-    """The point nearest to the start that no symmetry moves; None if there is none."""
+    # 3. The point nearest to the middle of the domain that no symmetry moves.
+    middle = (domain.lo + domain.hi) / 2
     moved = np.concatenate([np.eye(domain.dim) - symmetry.matrix for symmetry in symmetries])
-    by = np.concatenate([symmetry.offset for symmetry in symmetries]) - moved @ start
+    by = np.concatenate([symmetry.offset for symmetry in symmetries]) - moved @ middle
     step = np.linalg.lstsq(moved, by, rcond=None)[0]
-    scale = _SAME_PLACE * (np.abs(start) + domain.width)
-    if np.abs(moved @ step - by).max() > scale.max():
+    scale = _SAME_PLACE * (np.abs(middle) + domain.width)
+    is_fixed = np.abs(moved @ step - by).max() <= scale.max()
+    if not is_fixed or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
         return None
-    return np.where(np.abs(step) <= scale * 1e-3, start, start + step)
+    center = np.where(np.abs(step) <= scale * 1e-3, middle, middle + step)
+
+    # 4. The mirrors that cut the domain, if they make it smaller.
+    folding = Folding(domain, center, axes, mirrors)
+    folding = replace(folding, mirrors=folding.cutting)
+    is_smaller = np.prod(folding.box.width) < np.prod(domain.width) * (1 - _SAME_PLACE)
+    return folding if folding.mirrors and is_smaller else None
 
 
 def _with_pivots(

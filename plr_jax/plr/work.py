@@ -147,30 +147,20 @@ class AskedFn:
             return call_oracle(self.distance_fn, x)
         parts, futures = [x[begin : begin + _AT_ONCE] for begin in range(0, len(x), _AT_ONCE)], []
         try:
-            for part in parts:
-                futures.append(_submitted(self.executor, self.distance_fn, part))
-            answers = [self._answer(*pair) for pair in zip(parts, futures, strict=True)]
+            with suppress(BrokenExecutor):
+                for part in parts:
+                    futures.append(self.executor.submit(call_oracle, self.distance_fn, part))
+            answers = [np.empty(0)]
+            for number, part in enumerate(parts):
+                answer = None
+                with suppress(BrokenExecutor):
+                    answer = futures[number].result() if number < len(futures) else None
+                # If a worker has died, this process answers.
+                answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
             for future in futures:
                 future.cancel()
-        return np.concatenate([np.empty(0), *answers])
-
-    def _answer(self, x: Points, future: "Future[Distances]") -> Distances:
-        """What a worker says; what this process does, if the worker died."""
-        try:
-            return future.result()
-        except BrokenExecutor:
-            return call_oracle(self.distance_fn, x)
-
-
-def _submitted(executor: Executor, distance_fn: DistanceFn, x: Points) -> "Future[Distances]":
-    """The answer to come; one that never will, if the executor is broken already."""
-    try:
-        return executor.submit(call_oracle, distance_fn, x)
-    except BrokenExecutor as error:
-        future: Future[Distances] = Future()
-        future.set_exception(error)
-        return future
+        return np.concatenate(answers)
 
 
 Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]

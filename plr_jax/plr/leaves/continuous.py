@@ -82,7 +82,8 @@ class FaceTests:
         self._known: dict[bytes, bool] = {}
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
-        """Whether each face is free."""
+        """Whether each face is free: both sides can be reached at one of its points or more."""
+        domain = self._domain
         geometry = np.concatenate(
             [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
         )
@@ -91,25 +92,19 @@ class FaceTests:
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
         # Fractions of a face; along its own axis, whichever that is, it has no width.
-        points = (1 + _INSET * sample_pattern(self._domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
+        points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(~free)
             if len(some) and len(unsure):
-                free[unsure] = self._is_crossed(cells, faces[new[unsure]], some)
+                tested = faces[new[unsure]]
+                x = face_points(cells, tested, some)
+                across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]
+                sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
+                both = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
+                below, above = np.isfinite(call_oracle(self._distance_fn, both)).reshape(2, *x.shape[:2])
+                free[unsure] = np.any(below & above, axis=1)
         self._known |= {keys[index]: bool(is_free) for index, is_free in zip(new, free, strict=True)}
         return np.array([self._known[key] for key in keys], bool)
-
-    def _is_crossed(
-        self, cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]
-    ) -> Bool[np.ndarray, "faces"]:
-        """Whether at one of the points or more both sides can be reached."""
-        x = face_points(cells, faces, w)
-        across = _BESIDE * np.eye(self._domain.dim)[faces.axis][:, None]
-        sides = [self._domain.lo + self._domain.width * (x + sign * across) for sign in (-1, 1)]
-        points = self._domain.wrapped(np.concatenate(sides)).reshape(-1, self._domain.dim)
-        distance = call_oracle(self._distance_fn, points)
-        below, above = np.isfinite(distance).reshape(2, *x.shape[:2])
-        return np.any(below & above, axis=1)
 
 
 # Leaves as polynomials of the place in their cells.
