@@ -146,22 +146,6 @@ def test_the_tree_found_is_the_best_of_all_at_some_price(given):
     assert largest >= 7  # a price is found by halving, which may miss one whose range is narrow
 
 
-def test_greed_is_no_match():
-    """No split alone gains anything, four quarters are free: the best tree is found all the same."""
-    costs = dict.fromkeys(random_costs(0), 1.0)
-    for p0, p1 in product(range(2), repeat=2):
-        costs[1, 1, p0, p1] = 0.0
-    cost, number, found = search(costs, max_leaves=4)
-    assert (cost, number) == (0.0, 4)
-    np.testing.assert_array_equal(found.cells.depth, 1)
-    assert search(costs, max_leaves=3)[1] == 1
-
-
-def test_a_budget_too_small_for_a_leaf_is_refused():
-    with pytest.raises(ValueError, match="max_bytes=12 is too small: one leaf takes 13 bytes"):
-        search(random_costs(0), max_bytes=12.0)
-
-
 @pytest.mark.parametrize("max_depth", [0, 1, 3, 6])
 def test_no_tree_is_deeper_than_allowed_and_nothing_cheaper_is_left(max_depth):
     for seed in range(4):

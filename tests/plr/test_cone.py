@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, cyclic_axis, maximum_depth, scenes
+from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.best_partition import PriceSearch, Thrift
@@ -123,27 +123,10 @@ def test_partitions_of_random_workspaces_tile_the_domain(kind):
     assert mean_error(plr, oracle, x[np.isfinite(oracle(x))]) < 0.2
 
 
-def test_where_nothing_is_reached_and_for_too_few_bytes_the_construction_says_so(maze):
+def test_where_nothing_is_reached_the_construction_says_so():
     oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
     with pytest.raises(ValueError, match="nothing reachable"):
         construct(oracle, ((7, 0), (10, 10)), leaf="cone")
-    with pytest.raises(ValueError, match="max_bytes=20 is too small: one leaf takes"):
-        construct(maze, UNIT, leaf="cone", max_bytes=20)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"distance_fn": lambda x: np.abs(x[:, 0])}, "Use leaf='continuous' for any other"),
-        ({"domain": ((0, 0, 0), (1, 1, 1)), "distance_fn": lambda x: x[:, 0]}, "in 3 dimensions"),
-        ({"options": BuildOptions(weight_fn=lambda x: 1 + x[:, 0])}, "or use leaf='continuous'"),
-        ({"options": BuildOptions(should_split=maximum_depth)}, "or use leaf='continuous'"),
-        ({"options": BuildOptions(split=cyclic_axis)}, "or use leaf='continuous'"),
-    ],
-)
-def test_cones_are_not_found_from_samples(maze, options, message):
-    with pytest.raises(ValueError, match=message):
-        construct(**{"distance_fn": maze, "domain": UNIT, "leaf": "cone", "max_leaves": 9, **options})
 
 
 @pytest.mark.parametrize("max_bytes", [261, 661])
@@ -244,8 +227,8 @@ SOURCES = StoredSources(0, 0, 1, np.array([[0, 0], [1, 4], [2, 7]]), np.array([0
     [
         ({"parent": np.array([0, 2, 1])}, "circle"),
         ({"parent": np.array([0, 3, 1])}, "names source 3 of 3"),
-        ({"num_fine": 3, "exponent": 300}, "steps of"),
-        ({"num_fine": 3, "exponent": -300}, "steps of"),
+        ({"num_fine": 3, "exponent": 201}, "steps of"),
+        ({"num_fine": 3, "exponent": -201}, "steps of"),
         ({"num_fine": 3, "exponent": 150}, "too large"),
         ({"root_offset": np.array([np.nan, 0, 0])}, "too large"),
         ({"root_offset": np.array([np.inf, 0, 0])}, "too large"),

@@ -11,6 +11,10 @@ from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, construct, sc
 from plr_jax.plr import center_error, cyclic_axis, maximum_depth
 from plr_jax.plr.growth import ConstructionInterrupted, grow
 
+MAZE = scenes.maze()
+ORACLE = VisibilityGraph(MAZE.workspace, MAZE.goals[0])
+CONES = {"distance_fn": ORACLE, "leaf": "cone"}
+
 
 def errors_of(plr, n=20_000, exact=walled):
     x = np.random.default_rng(0).random((n, plr.dim))
@@ -100,6 +104,7 @@ def test_many_axes_can_still_be_split():
     )
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -110,8 +115,32 @@ def test_many_axes_can_still_be_split():
             "num_samples must be an integer >= 5, got 4",
         ),
         ({"seed": -1}, "seed must be an integer >= 0"),
+        ({"leaf": 7}, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
         ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
         ({"domain": ((0, 0), (1, 0))}, "positive width"),
+        ({"domain": (3 * [0], 3 * [1]), "leaf": "smooth"}, "up to 2 dimensions, got 3. Use continuous ones"),
+        (
+            {"domain": (7 * [0], 7 * [1]), "leaf": "continuous"},
+            "up to 6 dimensions, got 7. Use planes",
+        ),
+        ({"distance_fn": ORACLE, "leaf": "best", "max_bytes": "x"}, "max_bytes must be an integer >= 1, got 'x'"),
+        ({"leaf": "cone"}, "Use leaf='continuous' for any other"),
+        ({"domain": (3 * [0], 3 * [1]), "leaf": "cone"}, "in 3 dimensions"),
+        (CONES | {"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes"),
+        *(
+            (CONES | {"options": BuildOptions(**rule)}, "or use leaf='continuous'")
+            for rule in ({"weight_fn": cone}, {"should_split": maximum_depth}, {"split": cyclic_axis})
+        ),
+        *(
+            ({"leaf": leaf, "options": BuildOptions(**rule)}, message)
+            for leaf in ("plane", "continuous")
+            for rule, message in (
+                ({"split": lambda fit: np.full(len(fit.cells), 5)}, "split must return one axis from 0 to 1 a cell"),
+                ({"split": lambda fit: np.zeros(0, int)}, "split must return one axis"),
+                ({"should_split": lambda fit: np.ones(len(fit.cells) + 1)}, "should_split must return one priority"),
+                ({"should_split": lambda fit: np.full(len(fit.cells), np.nan)}, "must return one priority a cell"),
+            )
+        ),
         *(
             ({"leaf": leaf} | options, message)
             for leaf in ("plane", "continuous", "smooth")
@@ -143,10 +172,6 @@ def test_a_goal_that_most_free_points_do_not_reach_is_told_once(leaf):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         construct(oracle.with_goal((1.5, 0.5)), workspace.bounds, leaf=leaf, max_leaves=4)
-
-
-MAZE = scenes.maze()
-ORACLE = VisibilityGraph(MAZE.workspace, MAZE.goals[0])
 
 
 def mean_error(plr, oracle, x):
@@ -187,28 +212,14 @@ def test_what_has_no_corners_has_continuous_leaves_or_planes_where_there_are_too
         assert sum(asked) == 2 * total, "nothing is asked for a choice of one"
 
 
-def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
-    def interrupted(tree, split_some, limits):
-        def interrupt(now):
-            raise KeyboardInterrupt
+@pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._mean_error"])
+def test_an_interrupt_keeps_the_best_so_far(step, monkeypatch):
+    """While a model is grown, or while models are compared."""
 
-        return grow(tree, interrupt, limits)
-
-    monkeypatch.setattr("plr_jax.plr.leaves.continuous.grow", interrupted)
-    with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
-        assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).leaf.name == "continuous"
-
-
-def test_an_interrupt_while_models_are_compared_keeps_what_is_built(monkeypatch):
-    def interrupted(*_):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("plr_jax.plr._construct._mean_error", interrupted)
+    interrupted = (lambda tree, split, limits: grow(tree, interrupt, limits)) if "grow" in step else interrupt
+    monkeypatch.setattr(f"plr_jax.plr.{step}", interrupted)
     with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
-        assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).num_leaves > 1
-
-
-@pytest.mark.usefixtures("unchecked_types")
-def test_a_budget_that_is_no_number_is_refused_as_of_other_leaves():
-    with pytest.raises(ValueError, match="max_bytes must be an integer >= 1, got 'x'"):
-        construct(ORACLE, UNIT, leaf="best", max_bytes="x")
+        assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).leaf.name == "continuous"

@@ -108,48 +108,12 @@ def test_no_jump_across_free_faces_nor_of_gradients_of_order_one(plr, leaf):
     assert largest < 1e-3 if leaf == "smooth" else largest > 0.1
 
 
-@pytest.mark.parametrize("dim", [1, 3])
-def test_no_jump_in_other_dimensions(dim):
-    def walled_anywhere(x):
-        blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
-        return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
-
-    plr = construct(
-        walled_anywhere,
-        (np.zeros(dim), np.ones(dim)),
-        leaf="continuous",
-        max_leaves=80,
-        options=BuildOptions(num_samples=48),
-    )
-    assert jump(plr, walled_anywhere) <= 1e-5
-
-
 def test_nothing_blends_across_a_wall(plr):
     y = np.linspace(0.05, 0.6, 50)
     left, right = (np.stack([np.full(50, at), y], axis=1) for at in (0.4 - 1e-4, 0.5 + 1e-4))
     assert (walled(right) - walled(left)).min() > 0.2
     for side in (left, right):
         np.testing.assert_allclose(plr(side), walled(side), atol=0.03)
-
-
-def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
-    """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
-    # Widths that are no powers of two, for which not even the lookup rounds the same way in all compiled code.
-    domain = Box([0.0, -1.0], [24.0, 14.0])
-    plr = construct(
-        lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7),
-        domain,
-        leaf=leaf,
-        max_leaves=80,
-        options=BuildOptions(num_samples=32),
-    )
-    x = (domain.lo + domain.width * points(4000, 0)).astype(np.float32)
-    for axis, corners in enumerate(plr.leaf_boxes[0].T):
-        x[:, axis] = np.resize(np.unique(corners)[1:], 4000)
-        at_border = plr(x)
-        for _ in range(8):
-            x[:, axis] = np.nextafter(x[:, axis], np.float32(-2))
-            np.testing.assert_allclose(plr(x), at_border, atol=1e-4)
 
 
 def test_linear_functions_are_held_across_leaves_and_walls(leaf, samples):
@@ -167,18 +131,6 @@ def test_at_equal_bytes_it_errs_less_than_planes(leaf, samples):
     x, distance = samples
     errors = [np.abs(np.asarray(plr(x)) - distance).mean() for plr in (tied, planes)]
     assert errors[0] < 0.8 * errors[1]
-
-
-@pytest.mark.parametrize(
-    ("leaf", "dim", "message"),
-    [
-        ("smooth", 3, "'smooth' are for up to 2 dimensions, got 3. Use continuous ones or planes, which may jump"),
-        ("continuous", 7, "'continuous' are for up to 6 dimensions, got 7. Use planes, which may jump, instead"),
-    ],
-)
-def test_too_many_dimensions_are_refused(leaf, dim, message):
-    with pytest.raises(ValueError, match=message):
-        construct(cone, (np.zeros(dim), np.ones(dim)), leaf=leaf)
 
 
 def test_limits_and_weights_are_kept():

@@ -185,10 +185,6 @@ def values(body):
     body.write_coded(np.full(4, 5)).write_coded(np.full(3, 5))
 
 
-def fine(body, exponent):
-    body.write(np.array([1]), 20).write(np.array([exponent + 2**15]), 16)
-
-
 def wide(body):
     body.write(np.array([8]), 6).write_floats(np.array([0.0, 1.0])).write(np.array([0, 33, 1, 1]), 6)
 
@@ -211,9 +207,6 @@ def wide(body):
         ("continuous", partial(sets, counts=[0, 2**32 - 1]), "it names 4294967295 members of 3"),
         ("continuous", partial(sets, counts=[0, 0]), "too early"),
         ("continuous", values, "too large for 32-bit floats"),
-        ("cone", partial(fine, exponent=201), r"it states coordinates in steps of 2\*\*201"),
-        ("cone", partial(fine, exponent=-201), r"it states coordinates in steps of 2\*\*-201"),
-        ("cone", partial(fine, exponent=200), "too early"),
     ],
 )
 def test_leaves_of_impossible_numbers_are_refused(leaf, write, message):

@@ -11,13 +11,11 @@ import pytest
 from plr_helpers import UNIT, cone, lstsq_plane, sampler_of, walled
 
 from plr_jax.plr import (
-    BuildOptions,
     ConstructionInterrupted,
     Plane,
     best_axis,
     center_error,
     construct,
-    cyclic_axis,
     largest_error,
     maximum_depth,
 )
@@ -122,12 +120,7 @@ def test_sum_of_squares_after_split_equals_two_separate_fits():
             assert _sum_of_squares_after_split(found)[cell, axis] == pytest.approx(expected, rel=1e-6)
 
 
-def test_cyclic_axis_takes_turns_and_maximum_depth_splits_all_but_blocked_cells():
-    cells = Cells.root(2)
-    for axis in (0, 1, 0, 1):
-        chosen = cyclic_axis(fit(lambda x: x[:, 0], cells))
-        assert (chosen == axis).all()
-        cells = cells.split(chosen)
+def test_maximum_depth_splits_all_but_blocked_cells():
     halves = Cells.root(2).split(np.array([0]))
     priority = maximum_depth(fit(lambda x: np.where(x[:, 0] < 0.5, 1.0, np.inf), halves))
     np.testing.assert_array_equal(priority, [np.inf, 0])
@@ -267,18 +260,3 @@ def test_every_prefix_of_the_order_of_splits_is_a_tree():
     order = growth.split_order(tree)
     assert order.tolist() == [0, 2, 1, 4] and len(tree) == 3
     assert [tree.leaves_after(order[:n]).tolist() for n in range(3)] == [[0], [1, 2], [1, 3, 4]]
-
-
-@pytest.mark.parametrize("leaf", ["plane", "continuous"])
-@pytest.mark.parametrize(
-    ("rules", "message"),
-    [
-        ({"split": lambda fit: np.full(len(fit.cells), 5)}, "split must return one axis from 0 to 1 a cell"),
-        ({"split": lambda fit: np.zeros(0, int)}, "split must return one axis"),
-        ({"should_split": lambda fit: np.ones(len(fit.cells) + 1)}, "should_split must return one priority a cell"),
-        ({"should_split": lambda fit: np.full(len(fit.cells), np.nan)}, "should_split must return one priority"),
-    ],
-)
-def test_bad_rules_are_refused(leaf, rules, message):
-    with pytest.raises(ValueError, match=message):
-        construct(cone, UNIT, leaf=leaf, max_leaves=10, options=BuildOptions(**rules))

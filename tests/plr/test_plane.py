@@ -11,7 +11,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 from plr_jax import BuildOptions
 from plr_jax.plr import Continuous, Plane, construct
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.leaves import leaf_model, leaf_of_code
+from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
     encode_planes,
@@ -27,9 +27,6 @@ from plr_jax.plr.leaves.plane import (
 @pytest.mark.parametrize(
     ("make", "wrong", "message"),
     [
-        (leaf_model, "cubic", "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
-        (leaf_model, 7, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
-        (leaf_of_code, 4, "it has leaves of kind 4, this release knows kinds 0 to 3"),
         (lambda order: Continuous(order=order), 2, "order must be 0 or 1, got 2"),
         *(
             (lambda bits: Plane(coefficient_bits=bits), bits, f"bits must be 32 .floats. or 4 to 20, got {bits}")

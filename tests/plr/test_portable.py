@@ -167,18 +167,6 @@ def test_a_point_that_rounding_puts_below_the_domain_has_the_leaf_beside_it():
     assert plr(lowest)[0] == pytest.approx(1) and plr.numpy()(lowest)[0] == pytest.approx(1)
 
 
-@pytest.mark.parametrize("name", ["far planes", "far cones", "far folded car"])
-def test_far_from_the_origin_the_domain_begins_at_its_corner_itself(name):
-    plr = case(name)
-    f, middle = plr.numpy(), (plr.domain.lo + plr.domain.hi) / 2
-    for corner, outward in ((plr.domain.lo, -np.inf), (plr.domain.hi, np.inf)):
-        x = np.tile(middle, (3, 1))
-        beyond = corner[0] + np.sign(outward) * 1e-6 * plr.domain.width[0]
-        x[:, 0] = corner[0], np.nextafter(corner[0], -outward), beyond
-        for answers in (f(x), plr(x), [f(tuple(point)) for point in x.tolist()]):
-            assert np.isfinite(answers).tolist() == [True, True, False]
-
-
 def test_files_of_an_earlier_release_that_store_a_straight_line_apart_are_refused():
     refused = {path.stem for path in FOLDER.glob("*.plr")} - set(vector_names())
     assert len(refused) == 3
