@@ -48,12 +48,9 @@ def load(path: str | os.PathLike) -> Any:
         OSError: If the file cannot be read.
     """
     try:
-        return _held_in(read_bytes(path))
+        data = read_bytes(path)
+        if data.startswith(GRID_MAGIC):
+            return GridPairs.from_bytes(data)
+        return pairs_from_bytes(data) if holds_pairs(data) else from_bytes(data)
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR or as pairs: {error}.") from error
-
-
-def _held_in(data: bytes) -> PLR | PairPLR | GridPairs:
-    if data.startswith(GRID_MAGIC):
-        return GridPairs.from_bytes(data)
-    return pairs_from_bytes(data) if holds_pairs(data) else from_bytes(data)
