@@ -1,19 +1,34 @@
-"""Experiments run at their smallest, one of each family; tables and pictures come from committed results alone."""
+"""Experiments run at their smallest, one of each family; committed results are those of this code."""
 
+import base64
 import json
 import runpy
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from experiments import readme_tables
+from experiments import _dbcbs, readme_tables, table1
+from experiments._runner import RESULTS
+from plr_jax import (
+    Box,
+    BuildOptions,
+    DiscRobot,
+    Euclidean,
+    RectangleRobot,
+    VisibilityGraph,
+    construct,
+    cyclic_axis,
+    maximum_depth,
+    metrics,
+    scenes,
+)
 
 pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "experiments" / "results"
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -90,3 +105,59 @@ def test_results_with_a_path_that_is_not_valid_are_refused():
     readme_tables.require_valid("race", {"trials": [{"valid": None}, {"improved_valid": [True, True]}]})
     with pytest.raises(ValueError, match=r"race\.trials\.0\.valid: a path is not valid"):
         readme_tables.require_valid("race", {"trials": [{"valid": False}]})
+
+
+ROWS = [
+    row
+    for row in json.loads((RESULTS / "table1.json").read_text())["results"]["rows"]
+    if row["method"] == "PLR (VG)" and not row["configuration"].startswith("best axis, 2")
+]
+
+
+@pytest.fixture(scope="module", params=["maze", "thin_maze"])
+def measured(request):
+    problem = getattr(scenes, request.param)()
+    exact = VisibilityGraph(problem.workspace, problem.goals[0])
+    x = problem.workspace.sample_free(20_000, seed=1)
+    return [row for row in ROWS if row["scene"] == request.param], exact, x, exact(x)
+
+
+def test_table1_has_the_bytes_and_errors_of_this_code(measured):
+    rows, exact, x, distance = measured
+    options = table1.papers_own(9) | table1.ours(1_024, 2_048, 6_144) | table1.cones(256, 512, 1_024)
+    for row in rows:
+        plr = construct(exact, exact.workspace.bounds, seed=0, **options[row["configuration"]])
+        report, told = metrics.error_map(plr, lambda _: distance, x), row["seeds"][0]
+        assert (told["seed"], told["bytes"]) == (0, plr.num_bytes), row["configuration"]
+        assert report.max <= told["max"] * 1.001 and report.mean == pytest.approx(told["mean"], rel=0.5)
+
+
+def test_fig1_is_of_the_file_of_this_code():
+    results = json.loads((RESULTS / "fig1.json").read_text())["results"]
+    cone = Euclidean((0.0, 0.0)), Box((0.0, 0.0), (1.0, 1.0))
+    plr = construct(*cone, max_depth=6, options=BuildOptions(should_split=maximum_depth, split=cyclic_axis))
+    assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes
+
+
+PROBLEM = """
+environment:
+  max: [6, 4.5]
+  min: [0, 0]
+  obstacles:
+  - {center: [3, 1], size: [1, 2], type: box}
+robots:
+- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
+- {type: unicycle_first_order_0, start: [5, 3, 3.14], goal: [1.0, 3e0, 0]}
+"""
+
+
+def test_a_problem_and_a_solution(tmp_path):
+    path = tmp_path / "problem.yaml"
+    path.write_text(PROBLEM)
+    problem = _dbcbs.read_problem(path)
+    assert [type(robot) for robot in problem.robots] == [DiscRobot, RectangleRobot]
+    np.testing.assert_array_equal(problem.starts, [[1, 1, 0], [5, 3, 3.14]])
+    np.testing.assert_array_equal(problem.goals, [[5, 1, 0], [1, 3, 0]])
+    assert problem.workspace.free_space.bounds == (0, 0, 6, 4.5) and problem.workspace.free_space.area == 25
+    path.write_text("result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
+    np.testing.assert_array_equal(_dbcbs.read_trajectories(path), [[[0, 1, 2], [6, 7, 8]], [[3, 4, 5], [6, 7, 8]]])
