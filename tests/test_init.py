@@ -38,12 +38,6 @@ def test_the_list_and_the_mark_of_types_are_installed():
     assert (folder / "__init__.pyi").exists() and (folder / "py.typed").exists()
 
 
-def test_help_lists_the_public_names(capsys):
-    help(plr_jax)
-    text = capsys.readouterr().out
-    assert all(name in text for name in plr_jax.__all__)
-
-
 @pytest.mark.parametrize("name", ["plot", "plr", "scenes"])
 def test_public_packages_list_their_names(name):
     package = getattr(plr_jax, name)
