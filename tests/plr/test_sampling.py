@@ -156,33 +156,31 @@ def test_an_oracle_may_compute_in_place():
 
 
 @pytest.mark.parametrize(
-    ("oracle", "message"),
+    ("call", "answer", "message"),
     [
-        (lambda x: x, "distance_fn must give one number a point"),
-        (lambda x: np.ones(len(x) - 1), "distance_fn must give one number a point"),
-        (lambda x: 1.0, "distance_fn must give one number a point"),
-        (lambda x: np.full(len(x), np.nan), r"distance_fn gives NaN at \[.*; use inf for unreachable"),
-        (lambda x: np.full(len(x), -np.inf), "distance_fn gives -inf at"),
-        (lambda x: np.full(len(x), "far"), "answer must be real numbers"),
-        (lambda x: {}, "answer must be real numbers"),
-        (lambda x: [[1.0], [2.0, 3.0]], "answer must be real numbers"),
-        (lambda x: 1j * cone(x), "answer must be real numbers"),
+        (sampling.call_oracle, lambda x: x, "distance_fn must give one number a point"),
+        (sampling.call_oracle, lambda x: np.ones(len(x) - 1), "distance_fn must give one number a point"),
+        (sampling.call_oracle, lambda x: 1.0, "distance_fn must give one number a point"),
+        (
+            sampling.call_oracle,
+            lambda x: np.full(len(x), np.nan),
+            r"gives NaN at \[.*; use inf for unreachable",
+        ),
+        (sampling.call_oracle, lambda x: np.full(len(x), -np.inf), "distance_fn gives -inf at"),
+        (sampling.call_oracle, lambda x: np.full(len(x), "far"), "answer must be real numbers"),
+        (sampling.call_oracle, lambda x: {}, "answer must be real numbers"),
+        (sampling.call_oracle, lambda x: [[1.0], [2.0, 3.0]], "answer must be real numbers"),
+        (sampling.call_oracle, lambda x: 1j * cone(x), "answer must be real numbers"),
+        (sampling.call_weights, lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
+        (sampling.call_weights, lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
+        (sampling.call_weights, lambda x: x, "weight_fn must give one number a point"),
+        (
+            sampling.call_weights,
+            lambda x: np.ma.masked_less(np.ones(len(x)), 2),
+            "weight_fn's answer must be .*masked",
+        ),
     ],
 )
-def test_bad_oracles_are_refused(oracle, message):
+def test_bad_answers_are_refused(call, answer, message):
     with pytest.raises(ValueError, match=message):
-        sampling.call_oracle(oracle, points(5, 0))
-
-
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        (lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
-        (lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
-        (lambda x: x, "weight_fn must give one number a point"),
-        (lambda x: np.ma.masked_less(np.ones(len(x)), 2), r"weight_fn's answer must be .*, and some are masked"),
-    ],
-)
-def test_bad_weights_are_refused(weights, message):
-    with pytest.raises(ValueError, match=message):
-        sampling.call_weights(weights, points(5, 0))
+        call(answer, points(5, 0))
