@@ -1,7 +1,6 @@
 """Foldings: which there are, how they fold, how files keep them; and PLRs of them."""
 
 import struct
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,6 @@ from plr_helpers import sealed
 from plr_jax import Box, BuildOptions, Dubins, Euclidean, ReedsShepp, construct, from_bytes
 from plr_jax._types import Symmetry
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.container import Container
 from plr_jax.plr.folding import folding_of
 
 # Foldings: which there are of a distance function in a window, how they fold, and how files keep them.
@@ -179,10 +177,3 @@ def test_weights_count_where_any_image_has_one():
         *CASES["about"], max_leaves=40, options=BuildOptions(weight_fn=lambda x: (x[:, 0] >= 0).astype(float))
     )
     assert one_side.to_bytes() == construct(*CASES["about"], max_leaves=40).to_bytes()
-
-
-def test_nothing_is_folded_of_a_function_that_states_nothing():
-    oracle, domain = CASES["straight"]
-    plr = construct(partial(Euclidean.__call__, oracle), domain, max_leaves=9)
-    assert plr.tables.folding is None and plr.folded_domain == plr.domain
-    assert Container.from_bytes(plr.to_bytes()).folding is None

@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, random_partition, walled
+from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
 from plr_jax import BuildOptions
 from plr_jax.plr import Continuous, Plane, construct
-from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
     encode_planes,
-    planes_bits,
-    read_planes,
-    write_planes,
 )
 
 # Leaf models: their names and codes, and what holds of the numbers of every model with free parameters.
@@ -120,19 +116,6 @@ def test_floats_and_constants_are_kept_to_32_bits():
         planes = encode_planes(np.full(3, 2.5), np.zeros((3, 2)), bits)
         np.testing.assert_allclose(planes.decode()[0], 2.5, rtol=1e-6)
         assert not planes.unreachable.any()
-
-
-@given(seed=st.integers(0, 1000), dim=st.integers(1, 5), bits=st.sampled_from([4, 11, 16, 20, 32]))
-def test_what_is_read_is_what_was_written(seed, dim, bits):
-    rng, depth = np.random.default_rng(seed), random_partition(seed, dim, 30).depth
-    center = np.where(rng.random(len(depth)) < 0.2, np.inf, rng.normal(size=len(depth)))
-    center[0] = 1.0
-    planes = encode_planes(center, rng.normal(size=depth.shape), bits)
-    write_planes(body := BitWriter(), depth, planes)
-    assert body.num_bits == planes_bits(depth, planes)
-    again = read_planes(BitReader(body.to_bytes()), depth)
-    for name in ("center", "half", "bits", "offset", "step"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(planes, name))
 
 
 def test_planes_beyond_floats_are_refused():
