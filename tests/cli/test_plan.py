@@ -203,10 +203,13 @@ def test_an_interrupted_search_still_writes_its_best_path(tmp_path, monkeypatch,
 
 
 def test_interrupting_before_there_is_a_path_leaves_nothing(tmp_path, monkeypatch):
-    def interrupt(*_):
-        raise KeyboardInterrupt
+    class Interrupting:
+        def __call__(self, q):
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr("plr_jax.straight_line", lambda problem: interrupt)
+        per_robot = __call__
+
+    monkeypatch.setattr("plr_jax.straight_line", lambda problem: Interrupting())
     ended(130, "Interrupted: no path yet.\n", tmp_path, "tangle", "--heuristic", "straight-line")
-    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt)
+    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", Interrupting.__call__)
     ended(130, "Interrupted.\n", tmp_path, "four_rooms", "--heuristic", "plr")
