@@ -209,31 +209,23 @@ def test_a_domain_is_read_as_it_was_written_in_at_most_what_floats_take(box, lab
         (Box((-(2.0**53),), (0,)), [0, *signed_varint(-(2**53)), 0]),
         (Box((0,), (2.0**53 - 1,)), [0, 0, *signed_varint(2**53 - 1)]),  # in eight bytes
         (Box((0, -2), (10, 3), periodic=(False, True)), [0, 0, 6, 20, 3]),
+        (Box((-np.pi,), (np.pi,)), None),  # 16 digits
+        (Box((0.1 + 0.2,), (1,)), None),
+        (Box((0,), (2.0**53 + 2,)), None),
+        (Box((-1e-23,), (1e-23,)), None),
+        (Box((0, 0), (1, 1e-30)), None),  # of few digits each, but of no common unit
+        (Box((5e-324, -1e308), (1e-323, 1e308)), None),
+        (
+            Box((1 - 2.0**53,), (2.0**53 - 1,)),
+            None,
+        ),  # two integers of eight bytes are longer than floats
     ],
 )
-def test_numbers_of_few_decimals_by_hand(domain, data):
-    assert domain_to_bytes(domain) == (bytes(data), False)
-    assert read(bytes(data), domain.dim, False) == domain
-
-
-@pytest.mark.parametrize(
-    "domain",
-    [
-        Box((-np.pi,), (np.pi,)),  # 16 digits
-        Box((0.1 + 0.2,), (1,)),
-        Box((0,), (2.0**53 + 2,)),
-        Box((-1e-23,), (1e-23,)),
-        Box((0, 0), (1, 1e-30)),  # of few digits each, but of no common unit
-        Box((5e-324, -1e308), (1e-323, 1e308)),
-        Box(
-            (1 - 2.0**53,), (2.0**53 - 1,)
-        ),  # two integers of eight bytes each, and the byte for decimals, are longer
-    ],
-)
-def test_other_numbers_are_floats(domain):
-    data, is_floats = domain_to_bytes(domain)
-    assert is_floats and data == struct.pack(f"<{2 * domain.dim}d", *domain.lo, *domain.hi)
-    assert read(data, domain.dim, True) == domain
+def test_numbers_of_few_decimals_by_hand_and_floats_of_others(domain, data):
+    is_floats = data is None
+    expected = struct.pack(f"<{2 * domain.dim}d", *domain.lo, *domain.hi) if is_floats else bytes(data)
+    assert domain_to_bytes(domain) == (expected, is_floats)
+    assert read(expected, domain.dim, is_floats) == domain
 
 
 def test_the_caller_s_decimals_change_nothing():

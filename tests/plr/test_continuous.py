@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, points, random_partition, three_leaves, walled
 
-from plr_jax import Box, BuildOptions
+from plr_jax import BuildOptions
 from plr_jax.plr import construct
 from plr_jax.plr.faces import face_points, shared_faces
 from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
@@ -201,14 +201,10 @@ def test_values_that_no_sample_holds_are_harmless():
 # Continuous leaves in files: the format stays, what is read is what was written, values are rounded.
 
 
-def partition_of(tied, unreachable=(False, False, False), periodic=()):
-    """The faces between three leaves are those of leaves 0 and 1, 0 and 2, 1 and 2, unless there are seams too."""
-    tree = tree_of(three_leaves())
-    return TiedPartition(tree, np.array(unreachable), shared_faces(tree, periodic), np.array(tied))
-
-
 def test_values_are_rounded_to_the_nearest_within_floats():
-    partition = partition_of((True, True, True))
+    tree = tree_of(three_leaves())
+    faces = shared_faces(tree)
+    partition = TiedPartition(tree, np.zeros(3, bool), faces, np.ones(len(faces), bool))
     values = np.random.default_rng(0).normal(size=len(partition.space.masters))
     stored = StoredValues.rounded(partition, values, 0.1)
     assert np.abs(stored.decode() - values).max() <= 0.05 + 1e-6
@@ -217,19 +213,9 @@ def test_values_are_rounded_to_the_nearest_within_floats():
         StoredValues.rounded(partition, np.full(len(values), 1e31), 1.0)
 
 
-SQUARE = Box((0, 0), (1, 1))
-
-
-def grid(depth, dim=2):
-    cells = Cells.root(dim)
-    for axis in range(dim):
-        for _ in range(depth):
-            cells = cells.split(np.full(len(cells), axis))
-    tree = tree_of(cells)
-    return tree.leaves, shared_faces(tree)
-
-
 def test_a_face_on_the_edge_of_a_wall_is_not_free():
-    cells, faces = grid(1)
-    free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
+    halves = Cells.root(2).split(np.array([0]))
+    tree = tree_of(halves.split(np.array([1, 1])))
+    cells, faces = tree.leaves, shared_faces(tree)
+    free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), UNIT).are_free(cells, faces)
     np.testing.assert_array_equal(free, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
