@@ -472,6 +472,7 @@ def test_a_body_turns_to_fit_through_a_door():
     assert (descent.costs >= np.asarray(plr.lower(starts))).all()
 
 
+@pytest.mark.full
 def test_an_arm_goes_around_an_obstacle_and_through_the_seams():
     arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
     goal, rng = np.array([1.8, 0.0]), np.random.default_rng(0)

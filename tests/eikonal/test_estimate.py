@@ -64,6 +64,7 @@ def test_walls_between_nodes_are_gone_around_and_sealed_rooms_are_not_reached():
     assert np.isfinite(estimate_of(space, (0.1, 0.1), 700)(q)).tolist() == [True, False]
 
 
+@pytest.mark.full
 def test_climbing_evenly_costs_what_is_climbed():
     space, goal, uphill = BoxSpace(Box((0, 0), (1, 1))), np.array([0.4, 0.3]), np.array([0.6, -0.3])
     climbing = Climb(lambda q: np.broadcast_to(uphill, q.shape), rate=2.0, lipschitz=0.0, steepest=0.7)
@@ -73,6 +74,7 @@ def test_climbing_evenly_costs_what_is_climbed():
     assert np.abs(found - truth).mean() < 5e-3 * truth.mean()
 
 
+@pytest.mark.full
 def test_ways_lead_to_the_goal():
     goal = np.array([0.1, 0.133])
     estimate = swept_estimate(PlaneSpace(ROOM), None, goal, 2_000)

@@ -46,6 +46,7 @@ def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
         construct_pairs(MAZE)
 
 
+@pytest.mark.full
 def test_walls_too_thin_for_32_bits_are_refused():
     """Also where the lattice makes their end one point; a corner cut off by less is no end."""
     for thin in (box(5, 0, 5 + 1e-5, 8), np.array([(2, 4), (8, 5), (2, 4 + 1e-7)])):

@@ -99,6 +99,7 @@ def test_distances_to_a_goal_are_those_of_pairs(pairs):
     assert to_goal(cells.reshape(8, 8, 2)).shape == (8, 8)
 
 
+@pytest.mark.full
 def test_compiled_functions_take_it_or_close_over_it_and_promote_nothing():
     pairs = construct_grid_pairs(GridGraph(ROOMS, connectivity=8))
     x, y, answers = jnp.asarray(X, jnp.float32), jnp.asarray(Y, jnp.float32), np.asarray(pairs(X, Y))
@@ -238,6 +239,7 @@ def answered(library, start, end):
     return steps
 
 
+@pytest.mark.full
 @compiles_c
 @pytest.mark.parametrize("connectivity", [4, 8])
 @pytest.mark.parametrize(
@@ -260,6 +262,7 @@ def test_answers_of_headers_are_those_of_python(free, connectivity, tmp_path):
     del room
 
 
+@pytest.mark.full
 @compiles_c
 def test_labels_of_many_corners_are_read_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)

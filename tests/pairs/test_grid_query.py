@@ -43,6 +43,7 @@ def test_cells_see_each_other_if_every_open_path_is_legal(connectivity):
         assert seen == (free[start] and all(legal_steps))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_cells_with_more_corners_than_a_word_has_bits(connectivity):
     size = 300
@@ -73,7 +74,7 @@ def asked_cell_by_cell(graph, goals, positions, radius):
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
-@pytest.mark.parametrize("radius", [0, 1, 4])
+@pytest.mark.parametrize("radius", [0, 1, pytest.param(4, marks=pytest.mark.full)])
 def test_windows_are_what_searches_find(connectivity, radius):
     graph = GridGraph(FREE, connectivity=connectivity)
     pairs, rng = construct_grid_pairs(graph), np.random.default_rng(radius)

@@ -27,6 +27,7 @@ def test_the_maze_is_exact_in_a_kilobyte_symmetric_to_the_last_bit_and_zero_on_t
     np.testing.assert_array_equal(maze(x, x), np.zeros(4000))
 
 
+@pytest.mark.full
 def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
     around = math.hypot(2, 4) + 2 + math.hypot(2, 4)
     x = jnp.array([(2, 4), (2, 4), (2, 9), (4, 8), (4, 3), (0, 0), (4, 0), (3, 3)], float)
@@ -42,6 +43,7 @@ def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
         np.testing.assert_allclose(plr.waypoint(x[:1]), [(4, 8)], atol=1e-5)
 
 
+@pytest.mark.full
 def test_64_bits_are_answered_in_64(maze):
     """And beside corners the way is that of the points, not of what 32 bits leave of them."""
     x, y = two_batches(MAZE, 500, seed=2)
@@ -87,6 +89,7 @@ def test_jit_vmap_and_shapes_agree(maze):
     np.testing.assert_allclose(maze(np.asarray(x, np.float64), np.asarray(y)), expected, atol=1e-6)
 
 
+@pytest.mark.full
 def test_large_batches_are_answered_as_small_ones(maze):
     x, y = two_batches(MAZE, 20_000, seed=1)
     every = np.asarray(maze(x, y))
@@ -132,6 +135,7 @@ def test_an_outline_of_nothing_is_found_out_when_its_region_is_needed():
         stored_ring(points, (1000, 1000)).outline.contains(np.ones((1, 2)))
 
 
+@pytest.mark.full
 def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compiled_functions(maze):
     x, y = two_batches(MAZE, 60, seed=9)
     x[-3:], y[:2] = [(2, 0.5), (0.5, np.nan), (0.3, 0.3)], [(0.5, 1.5), (np.nan, 0.5)]
@@ -173,6 +177,7 @@ def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
     assert plr_jax.from_bytes(plr.to_bytes()).num_bytes == plr.num_bytes
 
 
+@pytest.mark.full
 def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_they_are_alike(maze):
     stored, count = maze.stored, maze.num_corners
     one_leaf = tree_of(Cells.root(2)), np.zeros(count, int), np.arange(count)

@@ -23,7 +23,14 @@ TOUCHING = Workspace(((0, 0), (10, 10)), [[(2, 2), (5, 2), (5, 5), (2, 5)], [(5,
 SQUEEZED = Workspace(TOUCHING.bounds, TOUCHING.obstacles, squeeze=True)
 
 
-@pytest.fixture(scope="module", params=["maze", "wall", "far", "touching", "squeezed"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "maze",
+        "touching",
+        *(pytest.param(name, marks=pytest.mark.full) for name in ("wall", "far", "squeezed")),
+    ],
+)
 def workspace(request):
     return {"maze": MAZE, "wall": WALL, "far": FAR, "touching": TOUCHING, "squeezed": SQUEEZED}[request.param]
 

@@ -36,6 +36,7 @@ def narrow_gap(width):
     return Workspace(TEN, [lower, np.add(upper, (1 / 3, 0))])
 
 
+@pytest.mark.full
 def test_details_that_the_lattice_does_not_tell_are_bounded():
     whole, x, y = joined([flat_arc(1e-8), flat_arc(1e-7), narrow_gap(1e-8), narrow_gap(1e-7)])
     check_exact_and_bounded(construct_pairs(whole, max_bytes=2048), whole, x, y)
@@ -49,6 +50,7 @@ def test_points_beside_walls_see_nothing_behind_contacts():
     assert np.isinf(upper).all()
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_walls_shorter_than_the_lattice_is_wide_hide_no_other_walls():
     short = [(2, 2), (2 + 1e-7, 2), (2 + 1e-7, 2 + 1e-7), (2, 2 + 1e-7)]
@@ -119,6 +121,7 @@ def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind):
         np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=1e-6 * WIDTH)
 
 
+@pytest.mark.full
 def test_from_where_an_obstacle_touches_the_bounds_both_sides_are_seen():
     workspace = Workspace(((0, 0), (1024, 1024)), [[(489, 684), (805, 112), (0, 319)]])
     pairs = construct_pairs(workspace)
@@ -142,6 +145,7 @@ def touching_workspace(rng):
     return Workspace(((0, 0), (1, 1)), [*rings[np.abs(turn) > 1e-9], [start - aside, start + aside, end]])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seed", [1, 4])  # of others some have walls that are refused
 def test_points_of_walls_and_contacts_are_answered_and_bounded(seed):
     rng = np.random.default_rng(seed)

@@ -157,6 +157,7 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
     check_refused(stored, r"1e\+19 wide, more than 1e\+18", domain=Box((0, 0), (1e19, 1)))
 
 
+@pytest.mark.full
 def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
     """Three layers, of which the second one holds the joined pairs."""
     data = (Path(__file__).parent / "maze_of_0_1.plr").read_bytes()

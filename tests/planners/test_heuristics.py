@@ -329,6 +329,7 @@ def proven():
     ]
 
 
+@pytest.mark.full
 def test_only_lower_bounds_bound_costs(proven):
     estimate, bound = sum_of_distances(proven), sum_of_distances([plr.lower for plr in proven])
     assert not estimate.is_lower_bound and bound.is_lower_bound
@@ -342,6 +343,7 @@ def test_only_lower_bounds_bound_costs(proven):
     assert known.lower_bound == pytest.approx(max(straight, bound(starts)[0]), rel=1e-6)
 
 
+@pytest.mark.full
 def test_bounds_of_bodies_are_nowhere_above_paths_that_are_there(proven):
     """Along a path of the team, what is left of it costs each robot at least its bound; turns count."""
     solution = bl_plan(THROUGH)

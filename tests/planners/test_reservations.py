@@ -100,6 +100,7 @@ def test_after_the_deadline_paths_stay_as_they_are():
     assert_blocked_as_from_scratch(table)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", TEAMS)
 def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
     joint, table = table_of(name)

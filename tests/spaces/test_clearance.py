@@ -88,6 +88,7 @@ def test_boxes_by_hand():
     assert states(line, ((5, 0), (6, 1)), ((3.0, 1), (3.0, 1)), ((0.5, 1), (0.5, 3))) == [BLOCKED, FREE, BLOCKED]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("corner", [(1e-3, 0.1, 7.0), (-1e6, -0.3, -1e-9), (-np.pi, 1e5, 123.4)])
 def test_cells_at_faces_of_any_domain_are_in_it(corner):
     lo = np.array(corner)

@@ -21,6 +21,7 @@ class TestOfEveryKind:
         each = jax.tree.map(lambda leaf: leaf[1, 2], fields)
         np.testing.assert_allclose(each.cells, grid_distance(maps[1], goals[2], moves=moves).cells, rtol=1e-6)
 
+    @pytest.mark.full
     def test_a_scan_carries_it_and_a_checkpoint_recomputes_it(self, moves):
         @jax.jit
         @jax.checkpoint
