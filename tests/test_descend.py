@@ -333,6 +333,7 @@ def test_a_path_into_slow_ground_is_refracted(times, start):
     assert descent.lengths[0] >= math.dist(start, goal) - 1e-12
 
 
+@pytest.mark.full
 def test_a_stored_field_of_times_is_followed(times):
     goal, field = times
     space = PlaneSpace(SQUARE)
@@ -457,6 +458,7 @@ def test_a_body_turns_through_the_seam():
     np.testing.assert_allclose(descent.costs, exact, rtol=1e-6)
 
 
+@pytest.mark.full
 def test_a_body_turns_to_fit_through_a_door():
     """The door is narrower than the body is long, which stands across it; the field knows too little of that."""
     workspace = Workspace(((0, 0), (4, 4)), [box(1.9, 0, 2.1, 1.8), box(1.9, 2.2, 2.1, 4)])

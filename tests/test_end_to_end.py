@@ -58,6 +58,7 @@ def test_every_free_point_has_an_answer_as_near_as_a_budget_of_bytes_allows(name
     assert np.quantile(np.abs(answers - distance), 0.99) <= 0.02 * distance.max()
 
 
+@pytest.mark.full
 def test_a_roadmap_is_summarized_with_less_error_than_its_own():
     workspace, goal = scene("maze")
     exact = plr_jax.VisibilityGraph(workspace, goal)

@@ -232,6 +232,7 @@ def test_what_is_read_is_not_written_over(plane, maps, tmp_path):
     assert files == {path: path.read_bytes() for path in tmp_path.iterdir()}
 
 
+@pytest.mark.full
 def test_demo_writes_what_it_says(tmp_path, monkeypatch):
     pair = plr_jax.scenes.four_rooms(2)
     monkeypatch.setattr("plr_jax.scenes.four_rooms", lambda num_robots: pair)

@@ -31,6 +31,7 @@ def test_close_to_the_metric_symmetric_to_the_last_bit_and_zero_on_the_diagonal(
     np.testing.assert_array_equal(pairs(x, y), pairs(y, x))
 
 
+@pytest.mark.full
 def test_jit_vmap_grad_and_shapes(pairs):
     x, y = (jnp.asarray(p[:20].reshape(4, 5, 2)) for p in random_points(2))
     expected = pairs(x, y)

@@ -65,6 +65,7 @@ def test_outside_is_infinite_nan_stays_and_the_corners_of_the_domain_are_inside(
     assert np.isfinite(maze([(0, 0), (1, 1), (1, 0), (0, 1)], INSIDE)).all()
 
 
+@pytest.mark.full
 def test_gradients_are_those_of_the_first_legs_and_zero_where_there_is_none(maze):
     x, y = two_batches(MAZE, 200, seed=3)
     gradients = jax.jit(jax.vmap(jax.grad(maze, argnums=(0, 1))))
@@ -98,6 +99,7 @@ def test_large_batches_are_answered_as_small_ones(maze):
         np.testing.assert_allclose(every[part], maze(x[part], y[part]), rtol=3e-7, atol=3e-7)
 
 
+@pytest.mark.full
 def test_tables_are_made_once_when_they_are_first_needed(maze):
     x, y = two_batches(MAZE, 100, seed=4)
     expected = maze(x, y)

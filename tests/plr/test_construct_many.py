@@ -122,6 +122,7 @@ def test_bytes_do_not_depend_on_who_is_built_together(oracles, family, monkeypat
         assert files_of(many(oracles[::-1], executor=threads)) == files_of(family)[::-1]
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("parts_of_one")
 def test_processes_give_the_same_bytes_even_if_a_worker_is_killed(oracles, family, tmp_path):
     fatal, planes = FatalOnce((0.4, 0.6), tmp_path / "killed", os.getpid()), {"leaf": "plane", "max_leaves": 30}

@@ -91,6 +91,7 @@ def test_large_tables_have_a_leafs_numbers_side_by_side_and_answer_alike(monkeyp
     np.testing.assert_array_equal(evaluate_tables(large, x), evaluate_tables(small, x))
 
 
+@pytest.mark.full
 def test_points_beside_borders_are_answered_by_the_leaf_that_is_found_for_them():
     """A block and what lies within it are of one rounding, also where a compiler computes them apart."""
     problem = scenes.floor_plan()

@@ -34,6 +34,7 @@ def check(plr, workspace, around=()):
     return np.abs(np.asarray(plr(x), float) - distance).mean() / distance.mean()
 
 
+@pytest.mark.full
 def test_bounds_hold_and_errors_stay_after_many_changes(oracle, plr):
     rng, workspace = np.random.default_rng(1), oracle.workspace
     for _ in range(12):

@@ -97,6 +97,7 @@ def test_bounds_of_directional_costs_hold_for_motions_all_ways_everywhere_in_box
         assert (least + pull <= value + 1e-12).all() and (value <= most + pull + 1e-12).all()
 
 
+@pytest.mark.full
 def test_a_steady_current_is_crossed_in_the_known_time():
     goal = np.array([0.7, 0.6])
     plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=1_000)

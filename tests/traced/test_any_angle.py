@@ -116,6 +116,7 @@ def test_gradients_are_differences(in_doubles):
     assert not any(each[np.isinf(center)].any() for each in ours)
 
 
+@pytest.mark.full
 def test_gradients_of_pairs_are_those_to_a_goal(in_doubles):
     free = drawn(".....", ".###.", "...#.")
     x, y = jnp.array([0.3, 0.4]), jnp.array([4.5, 2.6])
