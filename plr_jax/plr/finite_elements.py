@@ -112,7 +112,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
             _interpolation(group, leaf[side, row], t[side, row], np.arange(len(row)), (len(row), num_groups))
             for side in range(2)
         )
-        rows = below - above
+        rows = csr_array(below - above)
         require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
         of_groups = of_groups @ eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
     # 6. The masters: groups of reachable leaves that follow from no others.
