@@ -32,8 +32,8 @@ field = plr_jax.load("field.plr")
 
 - A `PLR` of one goal: `construct`, with many goals `construct_many`; of a changed map: `plr.updated`; proofs:
   `certify`.
-- Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`, of a map
-  that has changed `updated`; `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
+- Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`;
+  `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
   `pairs`.
 - Files: `save` and `load`, `from_bytes`; without JAX `load_numpy`, a `NumpyPLR`.
 - How `construct` works, `BuildOptions`: a `CellFit`, `least_squares`; `largest_error`,

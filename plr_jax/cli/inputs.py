@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SCENES = ("maze", "thin_maze", "floor_plan")
 DEFAULT_BYTES = 4_096  # limit of a file where no limit is given
 PICTURES = (".png", ".pdf", ".svg")
+_VOLUMES = (".npy", ".3dmap", ".stl", ".obj", ".ply")  # which only Python reads
 _SAME_BOX = 1e-6  # two boxes count as the same if they differ by less, as a share of their width
 _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "radius": float}  # others: str
 
@@ -150,6 +151,11 @@ class NamedMap:
         """
         from plr_jax import scenes
 
+        if Path(self.name).suffix.lower() in _VOLUMES:
+            raise ValueError(
+                f"MAP must be a map in the plane, {self.name} is a volume. In Python use solve_eikonal of a "
+                "VoxelSpace(scenes.read_volume(...))."
+            )
         goal = None if self.goal is None else parse_goal(self.goal)
         reading = {key: value for key, value in self.given().items() if key not in ("goal", "radius")}
         if self.name not in SCENES and not Path(self.name).suffix:

@@ -103,6 +103,7 @@ def slices(
     width, height = cuts[0].box.width / cuts[0].box.width.max() if alike else (1.0, 1.0)
     columns = int(np.clip(np.ceil(np.sqrt(_WIDE * count * height / width)), 1, count))
     rows = -(-count // columns)
+    columns = -(-count // rows)  # no more than that takes
     size = np.array([columns, rows]) * (_PANEL * np.array([width, height]) + _GAP) + _MARGIN
     figure = Figure(figsize=tuple(np.maximum(size, _LEAST)), dpi=DPI, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(rows, columns)

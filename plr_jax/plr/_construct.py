@@ -197,13 +197,16 @@ def construct(
 
     domain, proof = Box.of(domain), proof_of(certified)
     require_function("distance_fn", distance_fn)
+    if not isinstance(options, BuildOptions):
+        raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
     limits = max_depth, max_leaves, max_bytes, tolerance
 
     def build(name: LeafModel | str, oracle: DistanceFn) -> Contents:
         return _build_leaves(oracle, domain, leaf_model(name), limits, proof, seed, options)
 
     if leaf == BEST:
-        only_bytes = max_leaves is None and max_depth is None
+        has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
+        only_bytes = max_leaves is None and max_depth is None and not has_rules
         contents, is_interrupted = best_leaves(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
         if is_interrupted:
             message = "Interrupted: the PLR is the best one built so far."
@@ -349,7 +352,8 @@ def best_leaves(
         domain: The box to cover.
         proof: Kind of proof. With a proof the largest proven errors are compared, else mean errors at random points.
         max_bytes: The budget, as the caller gave it.
-        only_bytes: Whether neither the number of leaves nor the depth is limited.
+        only_bytes: Whether neither the number of leaves nor the depth is limited, and no rules are the caller's own:
+            then cones alone may be tried.
         seed: Seed of the random points.
 
     Returns:

@@ -94,6 +94,7 @@ def test_what_a_reader_warns_of_is_a_line(path, tmp_path):
         ("maze", ["--goal", "1;2"], "--goal must be two numbers X,Y"),
         ("bow.json", ["--goal", "0.5,0.1"], "bow.json"),
         ("maze", ["--goal", "0.5,0.45"], "goal [0.5, 0.45] lies in an obstacle"),
+        ("cave.3dmap", ["--goal", "1,1,1"], "MAP must be a map in the plane, cave.3dmap is a volume"),
         ("maze", ["--goal", "1.5,0.5"], "goal [1.5, 0.5] lies outside the bounds"),
     ],
 )

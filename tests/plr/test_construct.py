@@ -125,6 +125,7 @@ def test_many_axes_can_still_be_split():
     ("options", "message"),
     [
         ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
+        ({"options": {"num_samples": 9}}, r"options must be BuildOptions\(...\), got {"),
         ({"options": BuildOptions(num_samples=2)}, "num_samples must be an integer >= 3, got 2"),
         (
             {"options": BuildOptions(num_samples=4), "leaf": "continuous"},
@@ -188,6 +189,12 @@ def test_a_goal_that_most_free_points_do_not_reach_is_told_once(leaf):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         construct(oracle.with_goal((1.5, 0.5)), workspace.bounds, leaf=leaf, max_leaves=4)
+
+
+def test_with_rules_of_the_callers_own_the_best_leaves_are_no_cones():
+    options = BuildOptions(weight_fn=lambda x: np.ones(len(x)))
+    plr = construct(ORACLE, MAZE.workspace.bounds, leaf="best", max_bytes=2048, options=options)
+    assert plr.leaf.name == "continuous"
 
 
 def mean_error(plr, oracle, x):
