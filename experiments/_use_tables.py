@@ -249,7 +249,10 @@ def scale(results: dict[str, Any]) -> str:
     cones, planes = (
         f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
     )
-    return table(goals["workers"]) + f"\n{cones} of cones. Then {planes} of planes, by {resumed(goals['kills'])}"
+    return (
+        table(goals["workers"])
+        + f"\n{cones} of cones, or of planes where one is killed. Then {planes} of planes, by {resumed(goals['kills'])}"
+    )
 
 
 def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
