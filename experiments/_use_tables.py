@@ -249,10 +249,8 @@ def scale(results: dict[str, Any]) -> str:
     cones, planes = (
         f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
     )
-    return (
-        table(goals["workers"])
-        + f"\n{cones} of cones, or of planes where one is killed. Then {planes} of planes, by {resumed(goals['kills'])}"
-    )
+    built = f"{cones} of cones, or of planes where one is killed. Then {planes} of planes"
+    return table(goals["workers"]) + f"\n{built}, by {resumed(goals['kills'])}"
 
 
 def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
