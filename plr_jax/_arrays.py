@@ -62,7 +62,8 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
             raise TypeError
         numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.") from None
+        hint = " Inside jit, call it by jax.pure_callback." if type(value).__module__.startswith("jax") else ""
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{hint}") from None
     if np.ma.is_masked(value):
         raise ValueError(f"{name} must be {expected}, and some are masked.")
     return numbers

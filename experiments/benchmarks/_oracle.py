@@ -14,7 +14,6 @@ the slit leads nowhere.
 
 import json
 import os
-import pickle
 import subprocess
 import time
 from collections.abc import Callable
@@ -118,7 +117,6 @@ def _ours(
     x = workspace.sample_free(max(batches), seed + 1)
     row = {
         "vertices": len(workspace.boundary.vertices),
-        "bytes": len(pickle.dumps(oracle)),
         "runs": len(runs),
         "seconds_workspace": float(np.median([run[0] for run in runs])),
         "seconds_prepare": float(np.median([run[1] for run in runs])),

@@ -135,8 +135,8 @@ class Box:
         is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
         if not is_plain or np.shape(x)[-1:] != (self.dim,):
             return x
-        (lo, hi), x = self.in_single, np.asarray(x)
-        return np.where((lo <= x) & (x <= hi), np.clip(x.astype(np.float64), self.lo, self.hi), x)
+        (lo, hi), x = self.in_single, as_numbers("Points", x, "numbers")
+        return np.where((lo <= x) & (x <= hi), np.clip(x, self.lo, self.hi), x)
 
     def moved(self, by: ArrayLike) -> "Box":
         """The box moved by a vector, ``(dim,)``."""

@@ -461,7 +461,7 @@ _RIM_CELLS_AT_ONCE = 2**13  # cells of rims whose distances are computed togethe
 _AGENTS = 1024  # whose squares are looked at at once
 
 # Agents are the last axis, along which processors work on many numbers at once.
-Square, Marks = Int32[Array, "width width n"], Bool[Array, "width width n"]
+Square = Int32[Array, "width width n"]
 Rim = Int32[Array, "rim n"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
 _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]

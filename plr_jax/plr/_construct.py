@@ -458,10 +458,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal: then
             nothing can be proven.
     """
-    from plr_jax.plr._plr import (
-        PLR,  # and JAX, which no proof needs
-        with_certificate,
-    )
+    from plr_jax.plr._plr import PLR, with_certificate  # and JAX, which no proof needs
 
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
