@@ -41,14 +41,16 @@ class PointTable:
             ValueError: If the table is no text, has no points, or has a row that is no point and is ``strict``.
         """
         expected, num_lines, num_bad, is_empty = f"{self.dim} comma-separated numbers", 0, 0, True
+        may_be_header = True
         for block in self._blocks(file):
             lines = block.removesuffix(b"\n").split(b"\n")
-            if num_lines == 0 and _is_header(lines[0]):
-                num_lines = 1
-                lines, block = lines[1:], block.partition(b"\n")[2]
             rows = [(number, line) for number, line in enumerate(lines, num_lines + 1) if line.strip()]
             num_lines += len(lines)
+            if may_be_header and rows:
+                may_be_header = False
+                rows = rows[_is_header(rows[0][1]) :]
             # 1. The usual block: NumPy reads all of it at once.
+            block = b"\n".join(line for _, line in rows)
             points = np.full((len(rows), self.dim), np.nan)
             try:
                 read = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2) if rows else points

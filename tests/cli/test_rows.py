@@ -30,6 +30,7 @@ def read(data, dim=2, strict=False):
         "\ufeff1,2\n3,4",
         "\ufeffx,y\n1,2\n3,4",
         "\n1,2\n \r\n\n3,4\n",
+        "\n \nx,y\n1,2\n3,4",
     ],
 )
 def test_points_come_with_or_without_a_header(text):
