@@ -17,6 +17,7 @@ LAYERS = [
     ["oracles", "plr", "planners", "spaces", "traced"],
     ["pairs"],
     ["_io"],
+    ["_lookahead"],
     ["_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
     ["cli"],
     ["__main__"],

@@ -27,7 +27,8 @@ from plr_jax import (
     scenes,
     solve_eikonal,
 )
-from plr_jax._descend import DescentStatus, PathCosts, unit_motions
+from plr_jax._descend import DescentStatus
+from plr_jax._lookahead import PathCosts, unit_motions
 from plr_jax.geometry.corners import find_corners
 from plr_jax.spaces import CheckedSpace
 

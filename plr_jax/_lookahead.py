@@ -1,0 +1,423 @@
+"""Paths by lookahead: finite steps down a cost-to-go, through any space that proves motions free.
+
+From each configuration, steps of many lengths and directions are tried. The way on goes where
+the field falls most for what the step costs: ``(f(x) - f(y)) / cost(x, y)`` is 1 along cheapest paths and nowhere
+above, by the principle of optimality. A steeper fall is an error of the field, and counts as 1. Of steps that are
+nearly as steep the longest is taken, so that kinks and dents smaller than a step do no harm. A step must let the
+field fall by a share of its cost, so that every path ends. Finished paths are made cheaper: nodes are left out, or
+shifted to where their two legs cost least.
+"""
+
+import heapq
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.graph import first_visible_in_parts
+from plr_jax.spaces import (
+    ConfigurationSpace,
+    CostMap,
+    MotionCost,
+    cost_bounds,
+    motion_rates,
+    pulled,
+)
+
+Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
+Points: TypeAlias = Float[np.ndarray, "_ dim"]
+Next: TypeAlias = Int[np.ndarray, "_"]  # for each node of a set of paths, the node after it
+Chains: TypeAlias = tuple[
+    Float[np.ndarray, "n longest dim"],
+    Int[np.ndarray, "n"],
+    Float[np.ndarray, "n"],
+    Float[np.ndarray, "n"],
+    Bool[np.ndarray, "n"],
+]  # vertices, counts, lengths, costs, and whether starts are free
+
+
+def chains_of(
+    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
+) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
+    """The vertices of paths that go from starts to their first nodes and on to node 0, the goal, and their counts.
+
+    A path that comes to -1 has no vertices: its count is 0.
+    """
+    chain = [first]
+    while (chain[-1] > 0).any():
+        chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
+    places = np.stack(chain, axis=1)
+    vertices = np.concatenate([starts[:, None], nodes[places]], axis=1)
+    counts = 2 + (places > 0).sum(axis=1) - (starts == nodes[0]).all(axis=1)
+    return vertices, np.where(places[:, -1] == 0, counts, 0)
+
+
+# What straight motions of a configuration space cost, and which to try.
+
+_CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and for each axis in more dimensions
+_STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # shares by which costs of steps, and of paths, may err
+_SAMPLES = 8  # of a motion whose cost is estimated
+_LEAST_SHARE = 1 / 16  # of a motion: shorter pieces may err by as much as a piece of this share
+_MOST_HALVINGS = 40
+
+
+def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
+    """Motions of cost 1 in many directions: those of all axes, and those of each block alone."""
+    changes = []
+    for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
+        dim = len(axes)
+        if dim == 2:
+            angle = 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE
+            directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        else:
+            directions = np.eye(dim)
+            if dim > 2:
+                num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
+                share = qmc.Sobol(dim, scramble=False).random(2 * num)[num:]  # the first points include 0
+                directions = np.concatenate([directions, ndtri(share)])
+                directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
+            directions = np.concatenate([directions, -directions])
+            directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        change = np.zeros((len(directions), motion.dof))
+        change[:, axes] = directions / motion.scale[list(axes)]
+        changes.append(change / motion.norm(change)[:, None])
+    return np.concatenate(changes)
+
+
+@dataclass(frozen=True, eq=False)
+class PathCosts:
+    """Lengths and costs of straight motions, around periodic axes the short way.
+
+    Attributes:
+        space: The configuration space.
+        cost_map: The factor of the cost of motions; None: 1 everywhere.
+    """
+
+    space: ConfigurationSpace
+    cost_map: CostMap | None
+
+    def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
+        """Estimates of the cost of motions from each configuration by some changes, from a few samples of each."""
+        n, k, dof = changes.shape
+        motion, domain = self.space.motion_cost, self.space.domain
+        if self.cost_map is None:
+            return motion.norm(changes.reshape(-1, dof)).reshape(n, k)
+        share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        q = q0[:, None, None] + share[:, None] * changes[:, :, None]
+        # Motions that leave the domain are not free, but have to cost something.
+        q = domain.wrapped(np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi))).reshape(-1, dof)
+        rates = motion_rates(motion, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
+        return rates.reshape(n, k, _SAMPLES).mean(axis=2)
+
+    def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
+        """What motions cost, by the midpoint rule on pieces that are halved until bounds prove that they err little.
+
+        A jump of the factor within a motion may let it err by a sixteenth of the tolerance besides.
+
+        Args:
+            q0: Where motions begin.
+            q1: Where they end.
+            tolerance: The largest error, as a share of the cost.
+        """
+        if self.cost_map is None:
+            return self.space.motion_cost.lengths(q0, q1, self.space.domain)
+        domain, motion_cost = self.space.domain, self.space.motion_cost
+        cost, change = np.zeros(len(q0)), domain.difference(q1, q0)
+        # 1. Cut motions where they cross the seams of periodic axes.
+        seam = np.where(change < 0, domain.lo, domain.hi)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
+        cuts = np.sort(np.where((share > 0) & (share < 1), share, 0.0), axis=1)
+        ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
+        motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
+        begin, end = ends[motion, place], ends[motion, place + 1]
+        # 2. Halve the pieces whose cost is not known well enough.
+        for halvings in range(_MOST_HALVINGS + 1):
+            middle = (begin + end) / 2
+            q = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
+            part = (end - begin)[:, None] * change[motion]
+            # Bounds of the cost in the box about each piece, which is in the domain but for rounding.
+            lo, hi = np.maximum(q - np.abs(part) / 2, domain.lo), np.minimum(q + np.abs(part) / 2, domain.hi)
+            lower, upper, pulls = cost_bounds(motion_cost, self.cost_map, lo, hi)
+            norm = motion_cost.norm(part)
+            lower = lower * norm + pulled(pulls, part)
+            upper = upper * norm + pulled(pulls, part)
+            share = np.maximum(end - begin, _LEAST_SHARE) / (end - begin)
+            done = (upper - lower <= tolerance * lower * share) | (halvings == _MOST_HALVINGS)
+            np.add.at(cost, motion[done], motion_rates(motion_cost, self.cost_map, q[done], part[done]))
+            motion, begin, middle, end = motion[~done], begin[~done], middle[~done], end[~done]
+            motion, begin, end = np.tile(motion, 2), np.append(begin, middle), np.append(middle, end)
+            if not len(motion):
+                break
+        return cost
+
+
+# Paths by lookahead over finite steps.
+
+_LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain; lengths, each half the one before
+_FALL = 0.1  # least share of a step's cost by which the field falls along it
+_LONGER = 0.01  # by how much less steep a step may be that is twice as long
+_DEARER = 0.02  # share by which a step may cost more than its estimate
+_MOST_EXPANSIONS = 1000  # of the search that fills a dent
+_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
+
+
+def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    domain = costs.space.domain
+    starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
+    if not costs.space.is_free(goal[None])[0]:
+        raise ValueError(f"The goal {goal.tolist()} is not a free configuration of the space.")
+    is_free = costs.space.is_free(starts)
+    nodes, onward, nodes_of_starts = _Lookahead(field, costs, goal).follow(starts[is_free])
+    onward = _pulled_straight(costs, nodes, onward)
+    nodes = _shifted(costs, nodes, onward, nodes_of_starts)
+    onward = _pulled_straight(costs, nodes, onward)
+    first = np.full(len(starts), -1)
+    first[is_free] = onward[nodes_of_starts]
+    vertices, counts = chains_of(starts, nodes, onward, first)
+    begin, end = vertices[:, :-1].reshape(-1, domain.dim), vertices[:, 1:].reshape(-1, domain.dim)
+    lengths = costs.space.motion_cost.lengths(begin, end, domain).reshape(len(starts), vertices.shape[1] - 1)
+    prices = np.zeros(lengths.shape)
+    moves = (counts > 0)[:, None] & (lengths > 0)
+    prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
+    return vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free
+
+
+class _Lookahead:
+    """Steps from configurations to others."""
+
+    def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
+        self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
+        self.domain, motion = costs.space.domain, costs.space.motion_cost
+        directions = unit_motions(motion)
+        lengths = _LONGEST * float((motion.scale * self.domain.width).max()) / 2.0 ** np.arange(_NUM_LENGTHS)
+        self.shortest = float(lengths[-1])
+        # The first way leads to the goal, the others along the steps.
+        self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(directions)))
+        self.steps = (lengths[:, None, None] * directions).reshape(-1, motion.dof)
+        side = _CELL * float((motion.scale * self.domain.width).max())
+        self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / side))
+        self.cell_steps = np.concatenate([side * count * directions for count in _CELL_STEPS])
+        self.dents: list[tuple[Float[np.ndarray, dim], Points | None]] = []
+
+    def values(self, x: Points) -> Float[np.ndarray, "n"]:
+        """The field at configurations, 0 where it is negative and ``inf`` outside the domain."""
+        x, inside = self.domain.wrapped(x), self.domain.contains(x)
+        values = np.full(len(x), np.inf)
+        if inside.any():
+            num = int(np.count_nonzero(inside))
+            batch = padded(x[inside], padded_size(num), x[inside][-1])
+            values[inside] = as_distances("The field", self.field(batch), batch)[:num]
+        return np.maximum(values, 0.0)
+
+    def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
+        """Follow the field from free starts.
+
+        Returns:
+            Configurations, the goal first; the node after each, -1 where a path is stuck; and the nodes of the
+            starts.
+        """
+        nodes, onward = [self.goal[None]], [np.zeros(1, int)]
+        x, value, num = starts, self.values(starts), 1
+        while len(x):
+            y, status = self._step(x, value)
+            # Whoever is stuck leaves the dent, if there is a way out, by a chain of nodes to its last configuration.
+            detours = {}
+            for row in np.flatnonzero(status < 0).tolist():
+                chain = self._way_out(x[row], value[row] - _FALL * self.shortest)
+                if chain is not None:
+                    y[row], status[row] = chain[-1], 0
+                    if len(chain) > 1:
+                        detours[row] = chain[:-1]
+            goes_on, inner = status == 0, num + len(x)
+            num = inner + sum(map(len, detours.values()))
+            next_ = np.where(goes_on, num - 1 + np.cumsum(goes_on), np.where(status < 0, -1, 0))
+            nodes.append(x)
+            onward.append(next_)
+            for row, detour in detours.items():
+                nodes.append(detour)
+                onward.append(np.append(inner + np.arange(1, len(detour)), next_[row]))
+                next_[row], inner = inner, inner + len(detour)
+            x, value = y[goes_on], self.values(y[goes_on])
+        return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
+
+    def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
+        """The best step from each configuration: where to; status 1 if that is the goal, -1 if there is no step."""
+        num_ways = 1 + len(self.steps)
+        promised = np.empty((len(x), num_ways))
+
+        def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
+            here, before = x[rows], value[rows, None]
+            to_goal = self.domain.difference(self.goal, here)[:, None]
+            change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
+            there = here[:, None] + change
+            cost = self.costs.estimates(here, change)
+            after = self.values(there.reshape(-1, there.shape[2])).reshape(cost.shape)
+            after[:, 0] = 0.0  # at the goal, by definition
+            cost[:, 0] = self.costs.integrals(here, np.broadcast_to(self.goal, here.shape), _STEP_TOLERANCE)
+            promised[rows] = cost
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rate = np.where(np.isinf(before) | (cost == 0), 1.0, (before - after) / cost)
+            falls = np.isfinite(after) & (rate >= _FALL)
+            falls[:, 0] = True
+            return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
+
+        def leads_to(x: Points, way: Int[np.ndarray, "n"]) -> Points:
+            there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
+            return np.where(way[:, None] == 0, self.goal, there)
+
+        def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+            here, there = x[row], leads_to(x[row], way)
+            free = self.space.are_free(here, there)
+            exact = self.costs.integrals(here[free], there[free], _STEP_TOLERANCE)
+            free[free] = exact <= (1 + _DEARER) * promised[row, way][free]
+            return free
+
+        way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
+        return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
+
+    def _way_out(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+        """Configurations along free motions out of a dent of the field, the last of a value below ``below``.
+
+        Dents in which paths were stuck before, and which are in sight, are used again. None if the search fails.
+        """
+        for stuck, chain in self.dents:
+            if self.space.are_free(x[None], stuck[None])[0]:
+                if chain is None:
+                    return None
+                if self.values(chain[-1:])[0] < below:
+                    return np.concatenate([stuck[None], chain])
+        chain = self._filled(x, below)
+        self.dents.append((x, chain))
+        return chain
+
+    def _filled(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+        """Best-first search by the values of the field, one configuration a cell, for one below a value.
+
+        References:
+            Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991: local
+            minima of a potential are filled until a configuration below them is found.
+        """
+        found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
+        for _ in range(_MOST_EXPANSIONS):
+            if not frontier:
+                return None
+            _, node = heapq.heappop(frontier)
+            # Of configurations that steps lead to, keep the lowest in each unclaimed cell, which is then claimed.
+            y = self.domain.wrapped(found[node] + self.cell_steps)
+            values = self.values(y)
+            order = np.argsort(values, kind="stable")
+            order = order[np.isfinite(values[order])]
+            order = order[np.array([cell not in claimed for cell in self._cells(y[order])], dtype=bool)]
+            order = order[self.space.are_free(np.broadcast_to(found[node], y[order].shape), y[order])]
+            lowest = len(found)
+            for i, cell in zip(order.tolist(), self._cells(y[order]), strict=True):
+                if cell not in claimed:
+                    claimed.add(cell)
+                    found.append(y[i])
+                    parent.append(node)
+                    heapq.heappush(frontier, (float(values[i]), len(found) - 1))
+            if len(order) and values[order[0]] < below:
+                node, chain = lowest, []
+                while node > 0:
+                    chain.append(found[node])
+                    node = parent[node]
+                return np.stack(chain[::-1])
+        return None
+
+    def _cells(self, x: Points) -> list[tuple[int, ...]]:
+        cells = np.floor((x - self.domain.lo) / self.domain.width * self.num_cells)
+        return list(map(tuple, cells.astype(int).tolist()))
+
+
+# Paths made cheaper where they are: nodes left out, and shifted to where their two legs cost least.
+
+_KNOWN = 1e-3  # share of the cost of two legs by which an estimate may err that is trusted to find the best place
+_GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
+_WIDEST_SHIFT, _NUM_SHIFTS = 1 / 32, 8  # of nodes, as a share of the domain; shifts, each half the one before
+
+
+def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
+    """The next nodes of paths after nodes are left out wherever the straight way past them is free and cheaper."""
+    stuck = onward < 0
+    onward = np.where(stuck, np.arange(len(nodes)), onward)
+    leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
+    tried = np.full(len(nodes), -1)
+    while True:
+        ahead = onward[onward]
+        which = np.flatnonzero((ahead != onward) & (ahead != tried))
+        if not len(which):
+            return np.where(stuck, -1, onward)
+        tried[which] = ahead[which]
+        which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
+        straight = costs.integrals(nodes[which], nodes[ahead[which]], _STEP_TOLERANCE)
+        legs = leg[which], leg[onward[which]]
+        better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # two nodes at one place are one
+        which, straight = which[better], straight[better]
+        onward[which], leg[which] = ahead[which], straight
+
+
+def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
+    """Nodes moved to where the legs from the node before and to the node after cost least; first and last ones stay.
+
+    Only nodes of paths that reach the goal, node 0, are moved. No two of them have the same next node but the goal.
+    """
+    nodes, motion = nodes.copy(), costs.space.motion_cost
+    # The node before each, -1 for nodes that stay, and its place along the path.
+    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)
+    node, count = first, 0
+    while len(node):
+        node, count = node[onward[node] > 0], count + 1
+        before[onward[node]], number[onward[node]] = node, count
+        node = onward[node]
+    extent = float((motion.scale * costs.space.domain.width).max())
+    for shift in _WIDEST_SHIFT * extent / 2.0 ** np.arange(_NUM_SHIFTS):
+        changes = shift * unit_motions(motion)
+        for parity in (0, 1, 0, 1):  # of two neighbors one stays
+            which = np.flatnonzero((before >= 0) & (number % 2 == parity))
+            nodes[which] = _best_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
+    return nodes
+
+
+def _best_places(
+    costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
+) -> Points:
+    """The cheapest free place between each two nodes: the configuration as it is, or after one of the changes."""
+    domain, k = costs.space.domain, len(changes)
+
+    def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:
+        return costs.integrals(a, x, _STEP_TOLERANCE) + costs.integrals(x, b, _STEP_TOLERANCE)
+
+    def estimated(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:
+        to_x, to_b = domain.difference(x, a)[:, None], domain.difference(b, x)[:, None]
+        return (costs.estimates(a, to_x) + costs.estimates(x, to_b))[:, 0]
+
+    cost, estimate = exact(before, x, after), estimated(before, x, after)
+    is_known, best = np.abs(estimate - cost) <= _KNOWN * cost, x.copy()
+    for trusted, now, through in ((True, estimate, estimated), (False, cost, exact)):
+        rows = np.flatnonzero(is_known == trusted)
+
+        def prices(some: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "some k"]:
+            y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
+            inside = domain.contains(y)
+            a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))
+            price = np.full(len(y), np.nan)
+            price[inside] = through(a, y[inside], b)
+            price = price.reshape(-1, k)
+            return np.where(price <= (1 - _GAIN) * now[rows[some], None], price, np.nan)
+
+        def sees(row: np.ndarray, way: np.ndarray, rows=rows) -> Bool[np.ndarray, "pairs"]:
+            y = domain.wrapped(x[rows[row]] + changes[way])
+            return costs.space.are_free(before[rows[row]], y) & costs.space.are_free(y, after[rows[row]])
+
+        way = first_visible_in_parts(prices, len(rows), k, sees)[0][:, 0]
+        best[rows] = np.where(way[:, None] < 0, x[rows], domain.wrapped(x[rows] + changes[way]))
+    is_cheaper = exact(before, best, after) <= (1 - _GAIN) * cost
+    return np.where(is_cheaper[:, None], best, x)
