@@ -75,7 +75,9 @@ def guided_paths(
     From each node straight motions lead along edges of the graph, and to nodes near its way, nearer ones and farther.
     """
     graph = _FreeGraph(mesh, costs, goal, space)
-    ahead = [graph.nearest(place) for place in guide.along(mesh.nodes, _STRIDES)]
+    domain = mesh.domain
+    places = guide.along(domain.at(mesh.nodes), _STRIDES)
+    ahead = [graph.nearest((place - domain.lo) / domain.width) for place in places]
     graph.join(np.tile(np.arange(graph.goal), len(ahead)), np.concatenate(ahead))
     next_, leg = graph.cheapest_edges()
     return NodePaths(graph.points, (1 + _ROUNDING) * _along(next_, leg), next_)
@@ -242,6 +244,7 @@ class _FreeGraph:
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
         length, rate = self.costs.motion.norm(change), change / mesh.domain.width
+        rate[np.abs(rate) < _AHEAD] = 0.0  # or a motion along a face would be followed in steps of rounding errors
         ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
         going = np.flatnonzero(length > 0)
         while len(going):

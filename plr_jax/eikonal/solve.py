@@ -14,24 +14,24 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_finite_point, require_integer, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.bounds import CostToGoField, MeshEstimate, plr_of_bytes, plr_on_mesh
-from plr_jax.eikonal.estimate import MOST_AXES, swept_estimate
+from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
+from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
+from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.growth import ConstructionInterrupted, check_memory
 from plr_jax.plr.sampling import sample_pattern
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
 
-# Most cells by default, by the number of axes, and beyond.
+# Most cells by default, by the number of axes, and beyond; and leaves of an estimate alone.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
+_MAX_LEAVES = 2_000
 # More leaves a byte than any file has.
 _LEAVES_PER_BYTE = 2
-# Boxes of the estimate's grid for each cell.
-_BOXES_PER_CELL = 4
-# Bytes of memory a cell at the least, if certified or not.
-_BYTES_A_CELL = {True: 4_000, False: 400}
+# Bytes of memory a cell at the least.
+_BYTES_A_CELL = 4_000
 # Below this cost, 32 bits hold no distances.
 _LEAST_COST = 1e-30
 # Share of the domain by which a goal that is free to a tolerance may be outside.
@@ -101,19 +101,15 @@ def solve_eikonal(
             f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
         )
     require_integer("seed", seed, 0)
-    most = _MAX_CELLS.get(space.domain.dim, _MAX_CELLS_BEYOND)
-    if max_leaves is not None:
-        require_integer("max_leaves", max_leaves, 1)
-        most = int(max_leaves)
-    if max_bytes is not None:
-        require_integer("max_bytes", max_bytes, 1)
+    for name, limit in (("max_leaves", max_leaves), ("max_bytes", max_bytes)):
+        if limit is not None:
+            require_integer(name, limit, 1)
     if not as_bool("certified", certified) and (space.domain.dim > MOST_AXES or tolerance is not None):
         got = f"{space.domain.dim} axes" + ("" if tolerance is None else f" and tolerance={tolerance}")
         raise ValueError(
             f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
         )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
-    check_memory(2.0 * most, _BYTES_A_CELL[certified] / 2)
     domain, goal = space.domain, as_finite_point("goal", goal)
     if goal.shape != (domain.dim,):
         raise ValueError(f"goal must have {domain.dim} coordinates, as the space has axes, got {goal.size}.")
@@ -121,33 +117,33 @@ def solve_eikonal(
     if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not as_booleans("is_free", space.is_free(goal[None]), 1)[0]:
         raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
     at = np.clip(at, 0.0, 1.0)
-    is_proven = isinstance(space, ConfigurationSpace)
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
-    if certified:
-        field = _field(cells, cost_map, at, most, tolerance)
-        estimate, proven = field.estimate, field if is_proven else None
-    else:  # the estimate alone, on cells that are about equally wide along every axis
-        mesh = coarse_mesh(cells, most, most)
-        costs = swept_estimate(cells, cost_map, at, _BOXES_PER_CELL * most)(mesh.nodes)
-        if not np.isfinite(costs).any():
-            raise ValueError(
-                f"max_leaves must be so many that a corner of a cell has a free motion to the goal, got {most}: "
-                "allow more, or leave out certified=False."
-            )
-        is_reached = np.isfinite(costs)[mesh.corners].any(axis=1)
-        estimate, proven = MeshEstimate.of_nodes(mesh.without(np.logical_not(is_reached)), costs), None
-    largest = float(estimate.corner_values.max())
-    if 0 < largest < _LEAST_COST:
-        raise ValueError(
-            f"Costs must come to {_LEAST_COST:g} somewhere, got {largest:g} at the most: 32 bits hold none so small. "
-            "Give the domain, or the costs, in smaller units."
-        )
+    if not certified:
+        leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
+        guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
+        _require_costs(guide.largest)
+        limits = {"max_leaves": leaves, "max_bytes": max_bytes}
+        return construct(guide, domain, leaf="continuous", seed=seed, **limits)
+    most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
+    check_memory(2.0 * most, _BYTES_A_CELL / 2)
+    field = _field(cells, cost_map, at, most, tolerance)
+    estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
+    _require_costs(float(estimate.corner_values.max()))
     most_bytes = math.inf if max_bytes is None else float(max_bytes)
     if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes and (
         plr := plr_on_mesh(estimate, proven, most_bytes)
     ):
         return plr
     return plr_of_bytes(estimate, int(most_bytes), int(seed), proven)
+
+
+def _require_costs(largest: float) -> None:
+    """Raise ``ValueError`` if the largest cost-to-go is positive and below what 32 bits hold."""
+    if 0 < largest < _LEAST_COST:
+        raise ValueError(
+            f"Costs must come to {_LEAST_COST:g} somewhere, got {largest:g} at the most: 32 bits hold none so small. "
+            "Give the domain, or the costs, in smaller units."
+        )
 
 
 def _field(
@@ -163,15 +159,15 @@ def _field(
                 raise
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
-    program, mesh = solver.program, solver.mesh
+    program, mesh, domain = solver.program, solver.mesh, space.domain
     if cost_map is None or mesh.dim > MOST_AXES:
         paths = shortest_paths(mesh, program.costs, goal, space)
         likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
         if mesh.dim == MOST_AXES:  # where cells are few along an axis, and each estimate is mostly too high
-            likely = np.fmin(likely, swept_estimate(space, None, goal, _BOXES_PER_CELL * most)(mesh.nodes))
+            likely = np.fmin(likely, grid_estimate(space, None, domain.at(goal))(domain.at(mesh.nodes)))
     else:
-        guide = swept_estimate(space, cost_map, goal, _BOXES_PER_CELL * most)
-        paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(mesh.nodes)
+        guide = grid_estimate(space, cost_map, domain.at(goal))
+        paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(domain.at(mesh.nodes))
     return CostToGoField(program, solver.values, paths, likely, space)
 
 

@@ -15,7 +15,7 @@ from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, 
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import as_mask
-from plr_jax.geometry.voxels import VoxelGrid
+from plr_jax.geometry.voxels import VoxelGrid, parted_sets
 
 _DISTANCES = 2**22  # of cells, held at a time
 _OUTSIDE = -1
@@ -408,28 +408,50 @@ class GridField:
         for begin in range(0, len(x), _POINTS):
             part = x[begin : begin + _POINTS]
             inside = np.flatnonzero(self.bounds.contains(part))
-            distances[begin + inside] = self._interpolated(part[inside])
+            values, is_known = self.interpolated(part[inside])
+            distances[begin + inside[is_known]] = values[is_known]
         return distances
 
-    def _interpolated(self, x: Points) -> Distances:
-        """Distances at points of the box."""
+    def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
+        """Interpolate at points of the box, also in cells without a value.
+
+        Returns:
+            The distances, ``inf`` where none of the cells around a point has a value; and whether the cell that holds
+            the point has one.
+        """
         from scipy import ndimage  # which takes longer to import than other oracles need
 
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
-        # Weights of cells without a value are left out, and the others scaled to a sum of 1. Where the nearest cell
-        # has a value, they sum to a part of 1 at least.
-        total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in self._padded)
-        is_known = np.isfinite(self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))])
-        return np.divide(total, weight, out=np.full(len(x), np.inf), where=is_known)
+        nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
+        # Weights of cells without a value are left out, and the others scaled to a sum of 1.
+        padded, weights, parted = self._padded
+        total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (padded, weights))
+        values = np.divide(total, weight, out=np.full(len(x), np.inf), where=weight > 0)
+        if parted is not None:
+            values = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, values)
+        return values, np.isfinite(nearest)
 
     @cached_property
-    def _padded(self) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-        """Values, 0 where there is none, and whether there is one, with a cell more at each end of each axis."""
+    def _padded(
+        self,
+    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
+        """Values, 0 where there is none, and whether there is one, with a cell more at each end of each axis.
+
+        And in which boxes between centers some cells with a value touch others in an edge or a corner alone, so that
+        a wall is between them; None if there is no such box.
+        """
         is_known = np.isfinite(self.values)
-        values, weights = np.where(is_known, self.values, 0.0), is_known.astype(float)
+        values = np.where(is_known, self.values, 0.0)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
             width = [(int(each == axis),) * 2 for each in range(values.ndim)]
             mode = "wrap" if is_periodic else "edge"
-            values, weights = np.pad(values, width, mode), np.pad(weights, width, mode)
-        return values, weights
+            values, is_known = np.pad(values, width, mode), np.pad(is_known, width, mode)
+        parted = None
+        if values.ndim > 1 and not is_known.all():
+            sets = np.zeros(np.array(values.shape) - 1, np.intp)
+            for bit, corner in enumerate(product((0, 1), repeat=values.ndim)):
+                around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
+                sets |= is_known[around].astype(np.intp) << bit
+            parted = parted_sets(values.ndim)[sets]
+        return values, is_known.astype(float), parted
