@@ -18,18 +18,24 @@ from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
+from plr_jax.oracles import VoxelGraph
 from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.faces import overlapping_leaves
+from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import Rules, check_limits
 from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
-from plr_jax.plr.tree import PLACING, corner_bits
-from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
+from plr_jax.plr.tree import PLACING, Cells, corner_bits
+from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes, VoxelSpace
 
+# Volumes of more voxels have upper bounds by the mesh alone.
+_MOST_VOXELS = 1 << 24
+# Pairs of a leaf and a voxel that are looked at together.
+_PAIRS_AT_ONCE = 1 << 20
 # Boxes bounded at a time, which bounds the memory: beyond five axes each has thousands of places.
 _BOXES_AT_ONCE = 1 << 10
 # The step of stored values, over the mean distance of the bounds, and at least over the largest value.
@@ -344,7 +350,63 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     np.maximum.at(upper, leaf, above)
     beside = PLACING * np.ldexp(1.0, cells.depth)
     across = [np.abs(coefficients[:, bits == 1] - coefficients[:, bits == 0]).max(axis=1) for bits in corners.T]
-    changes = np.sum(beside * np.stack(across, axis=1), axis=1) * np.prod(1 + 2 * beside, axis=1)
+    across = np.stack(across, axis=1)
+    changes = np.sum(beside * across, axis=1) * np.prod(1 + 2 * beside, axis=1)
+    if isinstance(field.space, VoxelSpace) and field.program.costs.cost_map is None:
+        upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
     return replace(contents, certificate=certificate)
+
+
+def _above_voxel_paths(
+    field: CostToGoField,
+    space: VoxelSpace,
+    cells: Cells,
+    coefficients: Float[np.ndarray, "leaves corners"],
+    across: Float[np.ndarray, "leaves dim"],
+) -> Float[np.ndarray, "leaves"]:
+    """Return upper bounds of the cost-to-go minus the function of each leaf, by paths from voxel to voxel.
+
+    From a point of a free voxel a straight motion leads to the voxel's center, and 26 moves on to the goal. These
+    bounds also hold where walls are thinner than the cells of the mesh.
+
+    Args:
+        field: The paths' goal, and the mesh.
+        space: The voxels. Bounds are ``inf`` if they are not three-dimensional, too many, or those of a ball.
+        cells: The leaves.
+        coefficients: The function's values at the corners of each leaf.
+        across: The most by which the function changes along each axis of a leaf.
+    """
+    grid, goal, dim = space.grid, space.domain.at(field.paths.points[-1]), space.domain.dim
+    above = np.full(len(cells), np.inf)
+    if dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
+        return above
+    # 1. The length of a path from the center of each voxel to that of a free voxel that holds the goal, and to it.
+    ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]
+    holds = next(at for at in product(*ends.T.tolist()) if grid.padded[at])
+    center = space.domain.at((np.array(holds) - 0.5) / space.free.shape)
+    last = float(np.linalg.norm(goal - center))
+    lengths = VoxelGraph(space.free, center, bounds=space.domain).lengths + last
+    # 2. The voxels that hold points which a query may place in each leaf. From such a point a straight motion to the
+    #    center is at most half a diagonal long, along which the function changes by a share of what it does across
+    #    the leaf. The function is known at the point of the leaf nearest to the center.
+    widths, corners = space.domain.width * np.ldexp(1.0, -cells.depth), corner_bits(dim)
+    largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
+    spare = (1 + ROUNDING) * np.linalg.norm(grid.sides) / 2 + ROUNDING * largest
+    spare = spare + np.sum(across * np.minimum(grid.sides / (2 * widths), 1.0), axis=1)
+    lo, hi = cells.grown_boxes(space.domain)
+    shape = np.array(grid.padded.shape)
+    first = np.clip(grid.numbers(lo.T)[0].T, 1, shape - 2)
+    last_voxel = np.clip(grid.numbers(hi.T)[1].T, 1, shape - 2)
+    counts = last_voxel - first + 1
+    above[:] = -np.inf
+    for some in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):
+        leaf, voxel = enumerate_boxes(first[some], counts[some])
+        leaf = leaf + some.start
+        reached = np.isfinite(lengths[tuple(voxel.T)])
+        leaf, voxel = leaf[reached], voxel[reached]
+        at = np.ldexp((voxel - 0.5) / space.free.shape, cells.depth[leaf]) - cells.position[leaf]
+        function = np.sum(basis(1, np.clip(at, 0.0, 1.0)) * coefficients[leaf], axis=1)
+        np.maximum.at(above, leaf, lengths[tuple(voxel.T)] - function)
+    return np.maximum(above + spare, 0.0)

@@ -21,6 +21,7 @@ from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
+from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import ConstructionInterrupted, check_memory
 from plr_jax.plr.sampling import sample_pattern
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
@@ -160,14 +161,15 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
+    if mesh.dim == MOST_AXES or (cost_map is not None and mesh.dim < MOST_AXES):
+        guide = grid_estimate(space, cost_map, domain.at(goal))
+        likely = guide(domain.at(mesh.nodes))
+    else:
+        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
     if cost_map is None or mesh.dim > MOST_AXES:
         paths = shortest_paths(mesh, program.costs, goal, space)
-        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
-        if mesh.dim == MOST_AXES:  # where cells are few along an axis, and each estimate is mostly too high
-            likely = np.fmin(likely, grid_estimate(space, None, domain.at(goal))(domain.at(mesh.nodes)))
     else:
-        guide = grid_estimate(space, cost_map, domain.at(goal))
-        paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(domain.at(mesh.nodes))
+        paths = guided_paths(mesh, program.costs, goal, space, guide)
     return CostToGoField(program, solver.values, paths, likely, space)
 
 
@@ -186,7 +188,7 @@ _FIRST, _NEXT, _MOST = 100, 20, 1000
 _FACTORED_FIRST = (20, 40, 80)
 # A loss counts at most this much more for the way around that it hides.
 _DETOUR = 16
-# Splits along an axis that a query resolves.
+# Splits along an axis, where a query's tables resolve as many.
 _DEEPEST = 13
 # Share of a cell by which points keep off its faces.
 _INSET = 1e-9
@@ -306,7 +308,8 @@ class SlopeSolver:
         # 3. Refine most of the loss, but neither too few nor too many cells.
         enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)
         fewest, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
-        deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
+        most_splits = min(_DEEPEST, max_axis_depth(mesh.dim, None, 1, False))
+        deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= most_splits
         left = self.max_cells - num_cells
         if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
             left = int(_SHARE * left)  # where walls are open still, the next flow finds what is open then

@@ -275,6 +275,11 @@ class VoxelGraph(_CellGraph):
     def __repr__(self) -> str:
         return f"VoxelGraph({' x '.join(map(str, self.free.shape))} voxels, {self.moves} moves)"
 
+    @property
+    def lengths(self) -> Float[np.ndarray, "nx+2 ny+2 nz+2"]:
+        """The length from every voxel, with a layer of blocked voxels around them."""
+        return self._to_goal.reshape(self.grid.padded.shape)
+
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """The padded voxel of each point, in row-major order; the first, which is blocked, for one outside."""
         x = as_points(name, self.bounds.settled(x), 3)

@@ -162,11 +162,12 @@ class StoredValues:
     def of_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values at the corners of leaves; hanging corners follow from others."""
+        """Round values of at least 0 at the corners of leaves, to such values; hanging corners follow from others."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
-        return StoredValues.rounded(partition, of_group[space.masters], step)
+        stored = StoredValues.rounded(partition, of_group[space.masters], step)
+        return replace(stored, code=np.maximum(stored.code, int(np.ceil(-stored.offset / stored.step))))
 
     def decode(self) -> Float[np.ndarray, "masters"]:
         """The values."""
