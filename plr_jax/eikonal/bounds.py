@@ -40,8 +40,9 @@ _PAIRS_AT_ONCE = 1 << 20
 _BOXES_AT_ONCE = 1 << 10
 # The step of stored values, over the mean distance of the bounds, and at least over the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# Share of its bounds by which an estimate outside of them deserves a warning.
-_OFF = 0.1
+# Share of its bounds by which an estimate outside of them deserves a warning; and the share of the largest bound
+# below which the bounds are too small to be compared with.
+_OFF, _NEAR = 0.1, 0.01
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Points: TypeAlias = Float[np.ndarray, "n dim"]
@@ -127,12 +128,14 @@ class CostToGoField:
         mesh, lower, upper = self.mesh, self._lower_at_corners, self._corner_costs
         node, cell = mesh.corners[mesh.open_cells], mesh.open_cells
         excess = np.where(np.isfinite(self.likely), self.likely, np.nan)[node] - lower[cell]
-        is_off = (excess < -_OFF * lower[cell]) | (excess > (1 + _OFF) * upper[cell] - lower[cell])
+        is_off = np.maximum(-excess, excess + lower[cell] - upper[cell]) > _OFF * np.maximum(
+            lower[cell], _NEAR * lower.max()
+        )
         if is_off.any():
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
-                "proven bounds. There the PLR answers the nearer bound. Allow more max_leaves.",
-                stacklevel=4,
+                "bounds. There the PLR answers the nearer bound. Allow more max_leaves.",
+                stacklevel=5,
             )
         values = np.zeros(mesh.corners.shape)
         values[cell] = np.minimum(lower[cell] + _filled(np.maximum(excess, 0.0), node), upper[cell])
@@ -378,9 +381,9 @@ def _above_voxel_paths(
         coefficients: The function's values at the corners of each leaf.
         across: The most by which the function changes along each axis of a leaf.
     """
-    grid, goal, dim = space.grid, space.domain.at(field.paths.points[-1]), space.domain.dim
+    grid, goal = space.grid, space.domain.at(field.paths.points[-1])
     above = np.full(len(cells), np.inf)
-    if dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
+    if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
         return above
     # 1. The length of a path from the center of each voxel to that of a free voxel that holds the goal, and to it.
     ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]
@@ -391,7 +394,7 @@ def _above_voxel_paths(
     # 2. The voxels that hold points which a query may place in each leaf. From such a point a straight motion to the
     #    center is at most half a diagonal long, along which the function changes by a share of what it does across
     #    the leaf. The function is known at the point of the leaf nearest to the center.
-    widths, corners = space.domain.width * np.ldexp(1.0, -cells.depth), corner_bits(dim)
+    widths = space.domain.width * np.ldexp(1.0, -cells.depth)
     largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
     spare = (1 + ROUNDING) * np.linalg.norm(grid.sides) / 2 + ROUNDING * largest
     spare = spare + np.sum(across * np.minimum(grid.sides / (2 * widths), 1.0), axis=1)

@@ -2,9 +2,11 @@
 
 Where motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
 stencils have no diagonals, so nothing passes where two obstacles touch in an edge or a corner. Where the cost depends
-on the direction, the estimate is the cheapest path over a stencil of several steps, which errs by one to three
-percent. A grid of many nodes takes less time than the compression of the result, so walls are not corrected for:
-they are as the nearest nodes have them.
+on the direction, or is a sum over blocks of axes, the estimate is the cheapest path over a stencil of several steps,
+which is one percent too long on average.
+
+Walls are where the nearest nodes have them. A march over many nodes takes less time than the compression of its
+result, so that no correction pays.
 
 References:
     Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
@@ -14,11 +16,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import gcd, prod
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import skfmm
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
@@ -30,6 +32,7 @@ from plr_jax.spaces import (
     ConfigurationSpace,
     CostMap,
     DirectionalCost,
+    PlaneSpace,
     RasterCost,
     VoxelSpace,
     point_costs,
@@ -39,8 +42,10 @@ from plr_jax.spaces import (
 MOST_AXES = 3
 # Nodes of a grid, by the number of axes: of fast marching, and of paths over a stencil.
 _NODES, _STENCIL_NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 40_000, 3: 100_000}
-# Or so many for each leaf.
-_NODES_A_LEAF = 16
+# Or so many for each leaf; and most nodes, which take about 200 bytes of memory each.
+_NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
+# Share of a count by which it may be off a whole number.
+_ROUND = 1e-9
 # How many steps an edge of the stencil leads at most along an axis, by the number of axes of a block.
 _REACH = {1: 1, 2: 3, 3: 2}
 # Cells of the grid that are classified together first, along each axis.
@@ -53,6 +58,11 @@ _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 
 Points = Float[np.ndarray, "n dim"]
 Shape = tuple[int, ...]
+CellStates = Int8[np.ndarray, "*shape"]
+IsOpen = Bool[np.ndarray, "*shape"]
+Nodes = Float[np.ndarray, "*shape dim"]
+Costs = Float[np.ndarray, "*shape"]
+Sides = Float[np.ndarray, "dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +75,7 @@ class GridEstimate:
         at_goal: The factor of the cost of motions at the goal, and the pulls there, or None.
         ratio: The cost-to-go over the cost of the straight motion to the goal, both at the costs of the goal.
         way: The motion from each node toward the goal, about a step long, ``(*shape, dim)``.
-        largest: The largest cost-to-go at a node.
+        largest: The largest cost-to-go at a node; ``-inf`` if no node sees the goal.
     """
 
     space: ConfigurationSpace
@@ -105,23 +115,26 @@ def straight_costs(
 
 
 def grid_estimate(
-    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int = 0
+    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_leaves: int = 0
 ) -> GridEstimate:
     """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and a million in space.
 
-    The nodes are the centers of the voxels of a :class:`VoxelSpace` and of the cells of a :class:`RasterCost` that
-    fills the domain, or those of an odd whole refinement of these cells.
+    The nodes are the centers of the voxels of a :class:`VoxelSpace` or of the cells of a :class:`RasterCost` that
+    fills the domain, or those of a refinement of these cells into an odd number along each axis.
 
     Args:
         space: What is free, of up to three axes.
         cost_map: The factor of the cost of motions, or None.
         goal: The goal, a free configuration.
+        num_leaves: Leaves that are to be made of the estimate. The grid has at least 16 nodes for each.
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
-    box, shape = _grid(space, cost_map, max(most * _NODES_A_LEAF, (_NODES if is_isotropic else _STENCIL_NODES)[dim]))
+    box, shape = _grid(
+        space, cost_map, max(num_leaves * _NODES_A_LEAF, (_NODES if is_isotropic else _STENCIL_NODES)[dim])
+    )
     side = box.width / shape
-    node = box.at((np.stack(np.indices(shape), axis=-1) + 0.5) / shape)
+    node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
     cells, is_open = _open_nodes(space, box, shape)
 
     # 1. The costs of motions at open nodes and at the goal.
@@ -151,44 +164,57 @@ def grid_estimate(
     # 3. The cost-to-go of all nodes, and motions toward the goal.
     if is_isotropic:
         _close_beside_walls(space, cells, is_open, node, side)
+        if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
+            # Paths may pass where obstacles touch: the four nodes around are open.
+            boundary = space.workspace.boundary
+            place = (boundary.vertices[boundary.contacts] - box.lo) / side - 0.5
+            for corner in product((0, 1), repeat=2):
+                is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         cost = _marched(space, is_open, factor, at_goal[0], straight, lengths, steps, side)
         if cost_map is None:
             cost = np.minimum(cost, straight)
         way = _steepest(cost, side, domain.periodic)
     else:
         cost, way = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, goal, side)
-    is_reached = np.isfinite(cost)
-    if not is_reached.any():
-        raise ValueError(
-            f"No node of the grid of {' x '.join(map(str, shape))} nodes sees the goal {goal.tolist()}: it is too close "
-            "to obstacles for an estimate. Move the goal, or leave out certified=False."
-        )
+    largest = float(cost.max(where=np.isfinite(cost), initial=-np.inf))
     of_straight = straight_costs(space, at_goal, to_goal).reshape(shape)
     ratio = np.divide(cost, of_straight, out=np.ones(shape), where=of_straight > 0)
-    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), way, float(cost[is_reached].max()))
+    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), way, largest)
 
 
 def _grid(space: ConfigurationSpace, cost_map: CostMap | None, num_nodes: int) -> tuple[Box, Shape]:
     """Return a box whose cells have nodes at their centers, and how many there are along each axis.
 
-    Without a raster the first and the last nodes are on the faces of the domain, where many maps have walls.
+    Without a raster the first and the last nodes are on the faces of the domain, and steps are round decimals where
+    that fits: there many maps have walls.
     """
     domain = space.domain
+    # 1. The centers of cells that are given, unless these are too many.
+    cells = None
     if isinstance(space, VoxelSpace):
         cells = np.array(space.free.shape)
-    elif isinstance(cost_map, RasterCost) and cost_map.domain == domain:
-        cells = np.array(cost_map.values.shape[::-1])
-    else:
-        width = domain.width * space.motion_cost.scale
-        steps = np.maximum(np.rint(width / (width.prod() / num_nodes) ** (1 / domain.dim)), 4)
-        half = domain.width / steps / 2
-        box = Box(domain.lo - half, domain.hi + np.where(domain.periodic, -half, half), domain.periodic)
-        return box, tuple((steps + ~np.array(domain.periodic)).astype(int).tolist())
-    refinement = 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
-    return domain, tuple((cells * refinement).tolist())
+    elif isinstance(cost_map, RasterCost) and cost_map.dim == domain.dim:
+        sides = cost_map.domain.width / cost_map.values.shape[::-1]
+        num_nodes = max(num_nodes, int(min(np.prod(domain.width / sides), _MOST_NODES)))
+        cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain else None
+    if cells is not None and cells.prod() <= _MOST_NODES:
+        refinement = 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
+        return domain, tuple((cells * refinement).tolist())
+    # 2. Equal steps, of a round decimal if that fits.
+    width = domain.width * space.motion_cost.scale
+    step = (width.prod() / (num_nodes if cells is None else _MOST_NODES)) ** (1 / domain.dim)
+    decimal = 10.0 ** np.floor(np.log10(step)) * np.array([1.0, 2.0, 2.5, 5.0, 10.0])
+    counts = width[:, None] / decimal
+    fits = np.isclose(counts, np.rint(counts), rtol=_ROUND, atol=0).all(axis=0) & (counts >= 1).all(axis=0)
+    if fits.any():
+        step = decimal[fits][np.argmin(np.abs(np.log(decimal[fits] / step)))]
+    steps = np.maximum(np.rint(width / step), 4)
+    half = domain.width / steps / 2
+    box = Box(domain.lo - half, domain.hi + np.where(domain.periodic, -half, half), domain.periodic)
+    return box, tuple((steps + ~np.array(domain.periodic)).astype(int).tolist())
 
 
-def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Any, Bool[np.ndarray, "*shape"]]:
+def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen]:
     """Classify the cells of a grid, first in blocks. Return their states, and which nodes paths can pass through."""
     domain = space.domain
 
@@ -197,7 +223,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Any,
         return space.classify(*(np.where(domain.periodic, end, np.clip(end, domain.lo, domain.hi)) for end in ends))
 
     # 1. Blocks of cells, and the cells of those of which nothing is proven.
-    blocks = np.stack(np.indices([-(-n // _BLOCK) for n in shape]), axis=-1)
+    blocks = np.moveaxis(np.indices([-(-n // _BLOCK) for n in shape]), 0, -1)
     lo, hi = (np.minimum((blocks.reshape(-1, len(shape)) + end) * _BLOCK, shape) for end in (0, 1))
     state = classified(lo, hi).reshape(blocks.shape[:-1])
     for axis, n in enumerate(shape):
@@ -224,7 +250,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Any,
 
 
 def _close_beside_walls(
-    space: ConfigurationSpace, cells: Any, is_open: Bool[np.ndarray, "*shape"], node: Any, side: Any
+    space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> None:
     """Close the nearer one of two neighboring nodes between which there is a wall."""
     closed = np.zeros_like(is_open)
@@ -247,14 +273,14 @@ def _close_beside_walls(
 
 def _marched(
     space: ConfigurationSpace,
-    is_open: Bool[np.ndarray, "*shape"],
-    factor: Float[np.ndarray, "*shape"],
+    is_open: IsOpen,
+    factor: Costs,
     at_goal: float,
-    straight: Float[np.ndarray, "*shape"],
-    lengths: Float[np.ndarray, "*shape"],
-    steps: Float[np.ndarray, "*shape"],
-    side: Float[np.ndarray, "dim"],
-) -> Float[np.ndarray, "*shape"]:
+    straight: Costs,
+    lengths: Costs,
+    steps: Costs,
+    side: Sides,
+) -> Costs:
     """March from a small circle around the goal, within which motions are straight."""
     # 1. The front starts where straight motions cost as much as its radius does at the goal. Within are no nodes that
     #    are not seen from the goal, and none where costs differ much, but the cheapest one.
@@ -268,19 +294,21 @@ def _marched(
     if not is_inside.any() or (is_inside == is_open).all():
         return cost
     # 2. March from there.
-    sees = np.isfinite(straight)
+    sees, periodic = np.isfinite(straight), cast(Any, list(space.domain.periodic))
     phi = np.where(sees, lengths - begin / (weight * (factor + at_goal) / 2), np.maximum(lengths, step / weight))
     beyond = skfmm.travel_time(
-        np.ma.MaskedArray(phi, ~is_open), 1 / (weight * factor), dx=side.tolist(), order=2, periodic=list(space.domain.periodic)
+        np.ma.MaskedArray(phi, ~is_open),
+        1 / (weight * factor),
+        dx=side.tolist(),
+        order=2,
+        periodic=periodic,
     )
     reached = ~np.ma.getmaskarray(beyond) & ~is_inside
     cost[reached] = beyond[reached] + begin
     return cost
 
 
-def _steepest(
-    cost: Float[np.ndarray, "*shape"], side: Float[np.ndarray, "dim"], periodic: Sequence[bool]
-) -> Float[np.ndarray, "*shape dim"]:
+def _steepest(cost: Costs, side: Sides, periodic: Sequence[bool]) -> Nodes:
     """Return motions of one step down the cost-to-go, by the cheaper neighbor along each axis."""
     descent, known = np.zeros((*cost.shape, cost.ndim)), np.where(np.isfinite(cost), cost, -np.inf)
     for axis, wraps in enumerate(periodic):
@@ -297,21 +325,21 @@ def _steepest(
 
 def _over_stencil(
     space: ConfigurationSpace,
-    cells: Any,
-    is_open: Bool[np.ndarray, "*shape"],
-    node: Float[np.ndarray, "*shape dim"],
-    costs: tuple[Float[np.ndarray, "*shape"], Any],
-    straight: Float[np.ndarray, "*shape"],
+    cells: CellStates,
+    is_open: IsOpen,
+    node: Nodes,
+    costs: tuple[Costs, Any],
+    straight: Costs,
     goal: Float[np.ndarray, "dim"],
-    side: Float[np.ndarray, "dim"],
-) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape dim"]]:
+    side: Sides,
+) -> tuple[Costs, Nodes]:
     """Find cheapest paths over edges of several steps within the axes of each block of the cost of motions."""
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from these nodes need no test.
     mode = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
     far = [max(_REACH[len(axes)] for axes, _ in motion.blocks)] * len(shape)
-    is_clear = cells == CellState.FREE
+    is_clear: Any = cells == CellState.FREE
     for axis, reach in enumerate(far):
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * reach + 1, axis, mode=mode[axis])
     number, begin, end, cost = np.arange(num).reshape(shape), [], [], []
@@ -335,9 +363,7 @@ def _over_stencil(
             is_free[tested] = space.are_free(q, q + change[tested])
             a, b, change = (tuple(each[is_free] for each in a), tuple(each[is_free] for each in b), change[is_free])
             for tail, head, way in ((a, b, change), (b, a, -change)):
-                mean = (
-                    None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
-                )
+                mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
                 begin.append(number[tail])
                 end.append(number[head])
                 cost.append((factor[tail] + factor[head]) / 2 * motion.norm(way) + pulled(mean, way))

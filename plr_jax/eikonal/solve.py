@@ -52,46 +52,49 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space: no oracle, no roadmap.
 
-    Cells are halved where that matters, and proven free, blocked, or neither. The largest function that is 0 at the
-    goal, continuous across every face that is not proven blocked, and nowhere steeper than a step costs, is a lower
-    bound of the cost of every path, in any dimension. Paths through cells that are proven free bound it from above.
-    The PLR itself is an estimate between the two. Where costs vary, that is a semi-Lagrangian one of second order, on
-    a grid of four times as many nodes; else mixed cells count as free or blocked for it, by one motion each.
-    ``plr.bounds`` has both bounds: as what is proven of a PLR always, they hold for every point from which the goal
-    can be reached.
+    With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
+    160,000 nodes in the plane or a million in space, and continuous leaves compress the result. The mean error is
+    that of the grid, mostly 0.01 to 0.5 %.
+
+    By default bounds are proven as well, which takes longer. Cells are halved where that matters, and proven free,
+    blocked, or neither. The largest function that is 0 at the goal, continuous across every face that is not proven
+    blocked, and nowhere steeper than a step costs, is a lower bound of the cost of every path, in any dimension. The
+    straight line to the goal is another one. Paths through cells that are proven free bound the cost from above;
+    among voxels, paths from voxel to voxel do. The PLR is an estimate between the bounds. ``plr.bounds`` has both
+    bounds, which hold for every point from which the goal can be reached.
 
     Args:
-        space: What is free, and what motions cost. Of one that only tests configurations (:class:`FreeTest`), cells
-            count as free or blocked if all samples in them are: the PLR is an estimate, of which nothing is proven.
+        space: What is free, and what motions cost. If the space only tests configurations (:class:`FreeTest`), cells
+            count as free or blocked if all samples in them are. Then the PLR is an estimate, and nothing is proven.
         goal: The goal, ``(dim,)``, free.
         cost_map: A factor of the cost of motions that differs from place to place, such as the reciprocal of a
             speed, whose bounds over boxes are known; None: 1 everywhere.
-        max_leaves: Most cells. None: 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions.
-        max_bytes: Most bytes of the file. If a leaf a cell takes more, the leaves are others than the cells: as few
-            as that allows, grown from what was found on the cells. The bounds of a leaf are then the worst ones of
-            all cells that it meets, and where there is one that has no upper bound, it has none. None: a leaf a cell,
-            in as many bytes as that takes.
+        max_leaves: Most leaves, at least 1. None: if nothing is proven, 2,000 or as many as ``max_bytes`` allows;
+            else 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. Certified PLRs have a leaf a cell.
+        max_bytes: Most bytes of the file. If a leaf for each cell takes more, a certified PLR has fewer leaves than
+            cells, grown from the estimate on the cells. The bounds of a leaf are then the worst ones of all cells
+            that it meets: ``inf`` if one of these has no upper bound. None: no limit.
         tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
-            in units of cost, at least 0; None: 0, so that all of ``max_leaves`` are used.
-        certified: Whether bounds are proven. If not, of up to three axes, the PLR is an estimate alone, found by
-            sweeps over a grid: once these are compiled, which takes seconds, of cells by the ten thousand within
-            tenths of a second in the plane, and within seconds in space. It may lie outside of what would be proven.
-            Its cells are about equally wide along every axis, halved alike: as many as the last halving leaves below
-            ``max_leaves``. There is no ``tolerance``.
+            in units of cost, at least 0. None: 0, so that all of ``max_leaves`` are used. For certified PLRs only.
+        certified: Whether bounds are proven. False is for up to three axes.
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves. ``plr(x)`` is finite wherever a cell is connected to the goal's by faces that
-        are not proven blocked. Upper bounds are ``inf`` where no path was found. If interrupted (Ctrl-C) once there
-        is a first solution, that of the cells there are, with a ``ConstructionInterrupted`` warning. If the lower
-        bound, which is proven all the same, was still rising when iterations ran out, a ``UserWarning`` says so.
+        The PLR, of continuous leaves. ``plr(x)`` is finite wherever some path leads to the goal. The PLR does not
+        test collision: points in obstacles, and points that share a leaf with points that reach the goal or lie in a
+        leaf beside such a leaf, may have finite answers too. Upper bounds are ``inf`` where no path was found.
+
+    Warns:
+        ConstructionInterrupted: If interrupted (Ctrl-C) once there is a first solution, of which the PLR then is.
+        UserWarning: If the lower bound, which is proven all the same, was still rising when iterations ran out. If
+            the estimate was more than a tenth outside of its proven bounds; there the nearer bound replaces it.
 
     Raises:
-        ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or
-            too small (for one leaf, for four cells along each periodic axis, for cells at most 200,000 times as long
-            as wide, for samples in all open cells or, without proof, for a free motion from a corner of a cell to the
-            goal), ``certified=False`` comes with more than three axes or a tolerance, bounds of the cost map are not
-            positive and finite, or it is directional and the space's cost no length.
+        ValueError: If the space is none, the goal is not a free configuration of it, or a limit is out of its range.
+            If a limit is too small for one leaf, for four cells along each periodic axis, for cells at most 200,000
+            times as long as wide, or for samples in all open cells. If obstacles are so close to the goal that no
+            node of the grid sees it, ``certified=False`` comes with more than three axes or a tolerance, bounds of
+            the cost map are not positive and finite, or it is directional and the space's cost no length.
 
     References:
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
@@ -122,9 +125,14 @@ def solve_eikonal(
     if not certified:
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
+        if guide.largest < 0:
+            nodes = " x ".join(map(str, guide.way.shape[:-1]))
+            raise ValueError(
+                f"The goal must be seen from a node of the grid of {nodes} nodes, {goal.tolist()} is not: it is "
+                "too close to obstacles. Move it, or leave out certified=False."
+            )
         _require_costs(guide.largest)
-        limits = {"max_leaves": leaves, "max_bytes": max_bytes}
-        return construct(guide, domain, leaf="continuous", seed=seed, **limits)
+        return construct(guide, domain, leaf="continuous", max_leaves=leaves, max_bytes=max_bytes, seed=seed)
     most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
     check_memory(2.0 * most, _BYTES_A_CELL / 2)
     field = _field(cells, cost_map, at, most, tolerance)
@@ -161,15 +169,15 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
-    if mesh.dim == MOST_AXES or (cost_map is not None and mesh.dim < MOST_AXES):
-        guide = grid_estimate(space, cost_map, domain.at(goal))
-        likely = guide(domain.at(mesh.nodes))
-    else:
-        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
-    if cost_map is None or mesh.dim > MOST_AXES:
+    guide = grid_estimate(space, cost_map, domain.at(goal)) if mesh.dim <= MOST_AXES else None
+    if guide is None or cost_map is None:
         paths = shortest_paths(mesh, program.costs, goal, space)
     else:
         paths = guided_paths(mesh, program.costs, goal, space, guide)
+    if guide is None:
+        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
+    else:
+        likely = guide(domain.at(mesh.nodes))
     return CostToGoField(program, solver.values, paths, likely, space)
 
 

@@ -276,7 +276,7 @@ class VoxelGraph(_CellGraph):
         return f"VoxelGraph({' x '.join(map(str, self.free.shape))} voxels, {self.moves} moves)"
 
     @property
-    def lengths(self) -> Float[np.ndarray, "nx+2 ny+2 nz+2"]:
+    def lengths(self) -> Float[np.ndarray, "x y z"]:
         """The length from every voxel, with a layer of blocked voxels around them."""
         return self._to_goal.reshape(self.grid.padded.shape)
 

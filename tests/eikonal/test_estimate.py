@@ -77,10 +77,14 @@ def test_nothing_passes_between_obstacles_that_touch_in_a_corner(angle, size):
     rays = 4 * size * np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) @ turn.T
     middle = size / 2
     walls = [np.array((middle, middle)) + sign * rays for sign in (-1, 1)]
-    workspace = Workspace(((0, 0), (size, size)), walls)
+    workspace, open_workspace = (
+        Workspace(((0, 0), (size, size)), walls, squeeze=squeeze) for squeeze in (False, True)
+    )
     goal, beyond = (np.array((middle, middle)) + sign * turn @ (0.2 * size, -0.2 * size) for sign in (-1, 1))
     estimate = grid_estimate(PlaneSpace(workspace), None, goal)
     assert estimate(np.stack([goal, beyond])).tolist() == [0.0, np.inf]
+    squeezed = grid_estimate(PlaneSpace(open_workspace), None, goal)(beyond[None])
+    assert squeezed == pytest.approx(VisibilityGraph(open_workspace, goal)(beyond[None]), rel=0.02)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -8,6 +8,7 @@ from plr_jax import (
     PlaneSpace,
     RasterCost,
     VisibilityGraph,
+    VoxelSpace,
     Workspace,
     from_bytes,
     load,
@@ -78,9 +79,55 @@ def test_estimates_alone_are_of_few_axes_and_have_no_tolerance():
 
 
 def test_an_estimate_of_a_goal_that_no_node_sees_is_refused():
-    walls = [(0.0, 0.0), (0.55, 1.0)], [(0.6, 0.0), (1.0, 1.0)], [(0.0, 0.0), (1.0, 0.3)], [(0.0, 0.4), (1.0, 1.0)]
-    with pytest.raises(ValueError, match="a corner of a cell has a free motion to the goal, got 16"):
-        solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.57, 0.35), max_leaves=16, certified=False)
+    """Between two nodes, in a room that is narrower than a step of the grid."""
+    walls = [(0, 0), (0.5711, 1)], [(0.5713, 0), (1, 1)], [(0, 0), (1, 0.3511)], [(0, 0.3513), (1, 1)]
+    with pytest.raises(ValueError, match="must be seen from a node of the grid of 401 x 401 nodes"):
+        solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.5712, 0.3512), certified=False)
+
+
+def test_an_estimate_has_leaves_where_they_serve_most():
+    """A road of one cell among dear ones: its ends are as far apart as they look, also in a small file."""
+    values = np.full((60, 60), 10.0)
+    values[30] = 1.0
+    road = RasterCost(values, ((0, 0), (60, 60)), "nearest")
+    plr = solve_eikonal(road.space(), (59.5, 30.5), cost_map=road, max_bytes=1_000, certified=False)
+    assert plr.num_bytes <= 1_000
+    assert plr([0.5, 30.5]) == pytest.approx(59, rel=0.03)
+    assert solve_eikonal(EMPTY, GOAL, certified=False).num_leaves == 2_000
+
+
+@pytest.mark.parametrize("goal", [(0.7, 0.5), (0.3, 0.5), (0.5, 0.7), (0.26, 0.42)])
+def test_a_goal_a_rounding_error_off_a_face_of_cells_is_like_any_other(goal):
+    """Fractions of the domain such as (0.7 - 0.1) / 0.8 are not dyadic, but nearly."""
+    bounds = ((0.1, 0.1), (0.9, 0.9))
+    cost = RasterCost(np.ones((1, 1)), bounds)
+    plr = solve_eikonal(VoxelSpace(np.ones((1, 1), bool), bounds), goal, cost_map=cost, max_leaves=100)
+    x = np.random.default_rng(0).uniform(0.1, 0.9, (200, 2))
+    truth, (lower, upper) = np.linalg.norm(x - goal, axis=1), plr.bounds(x)
+    assert (lower <= truth + 1e-6).all() and (truth <= upper + 1e-6).all()
+
+
+@pytest.mark.parametrize("max_leaves", [100, 400])
+def test_an_estimate_is_within_its_bounds_however_much_costs_differ(max_leaves):
+    values = np.array([[303.8, 168.5, 28.7, np.inf], [19.7, np.inf, 1.7, 2.2]])
+    cost, goal = RasterCost(values, ((1000, 0), (1004, 2)), "nearest"), (1003.75, 1.75)
+    plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=max_leaves)
+    x = np.append(np.random.default_rng(0).uniform((1000, 0), (1004, 2), (2_000, 2)), [goal], axis=0)
+    x = x[cost.space().is_free(x)]
+    lower, upper = plr.bounds(x)
+    assert (lower <= plr(x)).all() and (plr(x) <= upper).all()
+
+
+def test_walls_thinner_than_cells_leave_upper_bounds_in_volumes():
+    """Two rooms and a wall of one voxel between them, with a hole of one voxel, at whose edges the path bends."""
+    free = np.ones((24, 24, 24), bool)
+    free[12] = False
+    free[12, 12, 12] = True
+    x, goal = np.array([(2.5, 12.5, 2.5)]), (22.5, 12.5, 2.5)
+    truth = 2 * np.hypot(9.5, 9.5) + 1
+    lower, upper = solve_eikonal(VoxelSpace(free), goal, max_leaves=500).bounds(x)
+    assert 20 <= lower <= truth <= upper < 1.25 * truth
+    assert solve_eikonal(VoxelSpace(free), goal, certified=False)(x) == pytest.approx(truth, rel=0.02)
 
 
 @pytest.mark.full
