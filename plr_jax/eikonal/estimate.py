@@ -20,7 +20,7 @@ from typing import Any, cast
 
 import numpy as np
 import skfmm
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int8
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
