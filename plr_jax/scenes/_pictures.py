@@ -165,10 +165,10 @@ def _light_of(
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
-    if part.mode in ("1", "L") and "transparency" not in part.info:
+    if part.mode in ("1", "L") and not part.has_transparency_data:
         return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
     red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)
-    return red + green + blue, 3 * (2**8 - 1), alpha
+    return red + green + blue, 3 * (2**8 - 1), alpha if part.has_transparency_data else None
 
 
 # Readers of the maps of ROS's ``map_server``: a YAML file beside a picture.
@@ -191,8 +191,10 @@ def read_map_server(
     """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in the frame of the map.
 
     A pixel's occupancy is ``1 - lightness``, with ``negate`` its lightness. Below ``free_thresh`` it is free, above
-    ``occupied_thresh`` occupied, else unknown. In the mode ``scale`` pixels that are not opaque are unknown as well;
-    in the mode ``raw`` pixels from 0 to 100 are the occupancy in percent, and others unknown. ``origin`` is the pose
+    ``occupied_thresh`` occupied, else unknown. What transparency means depends on the mode. ``trinary``: in a picture
+    with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS and in Nav2 up to Jazzy.
+    ``scale``: pixels that are not opaque are unknown. ``raw``: pixels from 0 to 100 are the occupancy in percent, and
+    other pixels are unknown; alpha does not count. ``origin`` is the pose
     ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by ``yaw`` radians,
     counterclockwise, whatever that does to the bounds.
 
@@ -317,6 +319,8 @@ class _MapServer:
         with errors_named(self.image), opened(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
+                if self.mode == "trinary" and alpha is not None:
+                    light = 0.75 * light + 0.25 * full * (alpha / OPAQUE)
                 occupancy = (light if self.negate else full - light) / full
                 if self.mode == "raw":
                     percent = np.rint(_RAW_FULL * light / full)
