@@ -51,6 +51,8 @@ _GEOJSON = {
     ],
 }
 
+_WKT = "GEOMETRYCOLLECTION (POLYGON ((0 0 1, 4 0 1, 4 4 1, 0 0 1), EMPTY), MULTIPOLYGON (((5 0, 6 0, 6 1, 5 0))))"
+
 
 @dataclass(frozen=True)
 class Reader:
@@ -216,6 +218,7 @@ READERS = {
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "WKT": Reader(scenes.read_wkt, ".wkt", lambda: [_WKT.encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
     "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),

@@ -71,7 +71,8 @@ DropSpecksOption = Annotated[
     int | None, _reading_option("Drop obstacles, and free places, of at most so many pixels.", "0")
 ]
 PolygonsOption = Annotated[
-    str | None, _reading_option("What polygons of GeoJSON are.", "obstacles", **choices(("obstacles", "free")))
+    str | None,
+    _reading_option("What polygons are.", "obstacles in GeoJSON, free in .wkt", **choices(("obstacles", "free"))),
 ]
 RadiusOption = Annotated[
     float | None,
