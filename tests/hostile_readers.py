@@ -63,14 +63,12 @@ class Reader:
         suffix: How the names of its files end.
         valid: Makes the files' contents.
         repaired: Takes a mutated file; gives one whose checksum is right, or the same if it is binary and has none.
-        needs: A library without which it cannot read.
     """
 
     read: Callable[[Path], Any]
     suffix: str
     valid: Callable[[], list[bytes]]
     repaired: Callable[[bytes], bytes] | None = None
-    needs: str = "numpy"
 
 
 def _written(save: Callable[[Any, Path], None], values: Iterable[Any]) -> list[bytes]:
@@ -236,9 +234,9 @@ READERS = {
     "TIFF of factors": Reader(scenes.read_cost_map, ".tif", _factor_files, bytes),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
-    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()], needs="trimesh"),
-    "PLY": Reader(_read_mesh, ".ply", ply_files, needs="trimesh"),
-    "STL": Reader(_read_mesh, ".stl", stl_files, needs="trimesh"),
+    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()]),
+    "PLY": Reader(_read_mesh, ".ply", ply_files),
+    "STL": Reader(_read_mesh, ".stl", stl_files),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
