@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._files import errors_named, yaml_of
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
+YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # of Pillow's those that run no other program
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
 _SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # what a file may promise, whatever it holds, and else for what it holds
@@ -75,14 +76,20 @@ def read_image(
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
     with errors_named(path):
-        with opened(path) as picture:
-            free = np.empty((picture.height, picture.width), bool)
-            for rows, light, full, alpha in bands(picture):
-                on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
-                free[rows] = on_white > threshold * full
-        return Workspace.from_mask(
-            free, resolution, origin, row0="top", tolerance=tolerance, drop_specks=drop_specks, squeeze=squeeze
-        )
+        options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
+        return Workspace.from_mask(free_pixels(path, threshold), resolution, origin, row0="top", **options)
+
+
+def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
+    """Which pixels of a picture are free, or of a map of ``map_server``; the picture's first row first."""
+    if path.suffix.lower() in YAML_ENDINGS:
+        return _MapServer.read(path).free(unknown_is_free=False)
+    with opened(path) as picture:
+        free = np.empty((picture.height, picture.width), bool)
+        for rows, light, full, alpha in bands(picture):
+            on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
+            free[rows] = on_white > threshold * full
+    return free
 
 
 @contextmanager
@@ -229,8 +236,7 @@ def read_map_server(
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path):
         map_server = _MapServer.read(path)
-        least, most = map_server.free_thresh, map_server.occupied_thresh
-        free = map_server.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
+        free = map_server.free(unknown_is_free)
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
         return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
 
@@ -387,6 +393,11 @@ class _MapServer:
                     occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
                 cells[rows] = value_of(occupancy)
         return cells
+
+    def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
+        """Which pixels are free; the picture's first row first."""
+        least, most = self.free_thresh, self.occupied_thresh
+        return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
         """Values of cells of ROS's ``OccupancyGrid``, from 0 to 100, and -1 where they are unknown."""

@@ -11,9 +11,9 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._file import is_scene, load
 from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons, read_wkt
 from plr_jax.scenes._movingai import read_map
-from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image, read_map_server
+from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, read_map_server
 
-_ENDINGS = (".map", ".json", ".geojson", ".wkt", ".yaml", ".yml", *PICTURE_ENDINGS)
+_ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS)
 
 
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
@@ -60,7 +60,7 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
                 return _workspace_of_scene
             with errors_named(path):
                 return read_geojson if is_geojson(json_of(path)) else read_polygons
-        case ".yaml" | ".yml":
+        case ending if ending in YAML_ENDINGS:
             return read_map_server
         case ending if ending in PICTURE_ENDINGS:
             return read_image
