@@ -13,10 +13,12 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
+from shapely.errors import ShapelyError
 
 from plr_jax._arrays import shortened
 
 MESH_ENDINGS = (".stl", ".obj", ".ply")
+_DAMAGE = ValueError, TypeError, LookupError, OverflowError, DeprecationWarning, struct.error, ShapelyError
 _MOST_BYTES = 2**26
 _FEWEST = 3  # corners of a face; what has fewer, such as a line, is no part of the surface
 _STL_HEADER = 84  # bytes of a binary STL file, of which the last four are the number of triangles
@@ -37,13 +39,13 @@ def read_mesh(path: Path) -> Triangles:
         raise ValueError(f"expected a mesh of at most {_MOST_BYTES:,} bytes, got a larger file.")
     reader = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply}[path.suffix.lower()]
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers that are none are refused
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are none, and of coordinates too large
             groups = reader(data)
-    except (ValueError, TypeError, LookupError, OverflowError, struct.error, DeprecationWarning) as error:
+            if sum(map(len, groups)) and all(np.isfinite(polygons).all() for polygons in groups):
+                return np.concatenate([triangulated(polygons) for polygons in groups])
+    except _DAMAGE as error:
         raise ValueError(f"expected a mesh, got something else or a damaged file ({error}).") from None
-    if not groups or not all(np.isfinite(polygons).all() for polygons in groups):
-        raise ValueError("expected a mesh of faces with corners 'x y z', finite ones, got none or others.")
-    return np.concatenate([triangulated(polygons) for polygons in groups])
+    raise ValueError("expected a mesh of faces with corners 'x y z', finite ones, got none or others.")
 
 
 def triangulated(polygons: Polygons) -> Triangles:
@@ -54,21 +56,23 @@ def triangulated(polygons: Polygons) -> Triangles:
     """
     if polygons.shape[1] == 3:
         return polygons
-    # 1. Seen along the axis that is nearest to the normal, a polygon has the most area. GEOS keeps third coordinates.
+    # 1. The fan of a quadrilateral is right unless it folds.
     fans = np.stack([np.broadcast_to(polygons[:, :1], polygons[:, 2:].shape), polygons[:, 1:-1], polygons[:, 2:]], 2)
-    with np.errstate(over="ignore", invalid="ignore"):
-        sides = fans[:, :, 1:] - fans[:, :, :1]
-        normals = np.abs(np.cross(sides[:, :, 0], sides[:, :, 1])).sum(axis=1)
-    axes = (normals.argmax(axis=1)[:, None] + (1, 2, 3)) % 3
+    normals = np.cross(fans[:, :, 1] - fans[:, :, 0], fans[:, :, 2] - fans[:, :, 0])
+    is_right = (polygons.shape[1] == 4) & ((normals[:, 0] * normals[:, 1]).sum(axis=1) > 0)
+    right, fans, polygons, normals = fans[is_right], fans[~is_right], polygons[~is_right], normals[~is_right]
+    # 2. Seen along the axis that is nearest to the normal, a polygon has the most area. GEOS keeps third coordinates.
+    axes = (np.abs(normals).sum(axis=1).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
     seen = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
-    # 2. GEOS takes outlines that touch themselves, but none that cross.
+    # 3. GEOS takes outlines that touch themselves, but none that cross.
     crossed = ~shapely.is_valid(seen)
     seen[crossed] = shapely.make_valid(seen[crossed], method="structure", keep_collapsed=False)
     parts, polygon = shapely.get_parts(shapely.constrained_delaunay_triangles(seen), return_index=True)
     corners = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[:, :3]
     back = np.argsort(axes, axis=1)[polygon]
     is_flat = np.bincount(polygon, minlength=len(polygons)) == 0
-    return np.concatenate([np.take_along_axis(corners, back[:, None], axis=2), *fans[is_flat]])
+    others = right.reshape(-1, 3, 3), fans[is_flat].reshape(-1, 3, 3)
+    return np.concatenate([np.take_along_axis(corners, back[:, None], axis=2), *others])
 
 
 def _read_stl(data: bytes) -> list[Polygons]:
@@ -143,23 +147,26 @@ def _read_ply(data: bytes) -> list[Polygons]:
             for (name, kind), counter in zip(kinds, counters, strict=True):
                 size = 1
                 if counter is not None:
-                    size = int(counter.unpack_from(body, at)[0])
+                    (number,) = counter.unpack_from(body, at)
+                    size = int(number)
+                    if size != number or size < 0:
+                        raise ValueError(f"a list of {number} entries")
                     at += counter.size
                     if element == "face" and name in _PLY_FACES:
                         indices = kind
                         begin.append(at)
                         sizes.append(size)
                 at += size * kind.itemsize
-        if at > len(body) or min(sizes, default=0) < 0:
+        if at > len(body):
             raise ValueError(f"its header promises {count:,} rows of {shortened(element)}, and it has fewer")
         if indices is not None:
             begin, sizes, of_bytes = np.array(begin), np.array(sizes), np.frombuffer(body, np.uint8)
             for size in np.unique(sizes[sizes >= _FEWEST]):
                 rows = sliding_window_view(of_bytes, size * indices.itemsize)[begin[sizes == size]]
-                groups.append(rows.view(indices).astype(np.int64))
-    if any((faces < 0).any() for faces in groups):
-        raise ValueError("the index of a corner is negative")
-    return [corners[faces] for faces in groups]
+                groups.append(rows.view(indices))
+    if any(((faces < 0) | (faces % 1 != 0)).any() for faces in groups):
+        raise ValueError("the index of a corner is no whole number of at least 0")
+    return [corners[faces.astype(np.int64)] for faces in groups]
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:

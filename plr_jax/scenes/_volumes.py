@@ -148,8 +148,8 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
         count = np.maximum(1.0, np.ceil((hi - lo) / pitch - _TOUCHES))
-        triangles = (triangles - lo) / pitch
-    if not count.prod() <= _MOST_MESH_VOXELS:
+        triangles, size = (triangles - lo) / pitch, count.prod()
+    if not size <= _MOST_MESH_VOXELS:
         sizes = " x ".join(f"{along:.6g}" for along in count)
         raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
     blocked = np.zeros(count.astype(np.int64).tolist(), bool)

@@ -139,7 +139,9 @@ def test_too_much_work_is_refused(monkeypatch):
             free_of_mesh(triangles, 1.0, None, fill=False)
 
 
-@pytest.mark.parametrize("text", ["", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"])
+@pytest.mark.parametrize(
+    "text", ["", "\0" * 84, "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"]
+)
 def test_what_is_no_mesh_is_refused(text, tmp_path):
     for ending in ("obj", "stl", "ply"):
         path = tmp_path / f"wrong.{ending}"
@@ -298,12 +300,14 @@ def test_rows_of_ply_may_be_in_any_order_and_none_at_all(tmp_path):
         ((b"element face 11", b"element face 99"), "expected a mesh"),
         ((b"vertex_index", b"corners"), "expected a mesh of faces"),
         ((b"\n3 0 1 2", b"\n3 0 1 99"), "expected a mesh"),
-        ((b"\n3 0 1 2", b"\n3 0 1 -2"), "the index of a corner is negative"),
-        ((b"\n3 0 1 2", b"\n-3 0 1 2"), "expected a mesh"),
+        ((b"\n3 0 1 2", b"\n3 0 1 -2"), "the index of a corner is no whole number"),
+        ((b"\n3 0 1 2", b"\n3 0 1 2.5"), "the index of a corner is no whole number"),
+        ((b"\n3 0 1 2", b"\n-3 0 1 2"), "a list of -3.0 entries"),
+        ((b"\n3 0 1 2", b"\n3.7 0 1 2"), "a list of 3.7 entries"),
         ((b"\n3 0 1 2", b"\n3 0 1 x"), "expected a mesh"),
         ((b"property double x", b"property double u"), "expected a mesh"),
     ],
-    ids=range(9),
+    ids=range(11),
 )
 def test_what_is_no_ply_is_refused(change, message, tmp_path):
     data = ply_of(MIXED, "ascii")
