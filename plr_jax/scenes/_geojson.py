@@ -236,7 +236,8 @@ def _polygon(rings: Any, where: str) -> Iterator[Any]:
     """The polygon of rings; none if they are null or empty."""
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
-    given = [ring for ring in rings or () if ring not in (None, [])]
+    rings = rings or []
+    given = [ring for ring in rings if ring not in (None, [])]
     for ring in given:
         if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
             expected = "a ring, a list of at least 3 finite points [x, y] of numbers"

@@ -63,7 +63,7 @@ def triangulated(polygons: Polygons) -> Triangles:
     right, fans, polygons, normals = fans[is_right], fans[~is_right], polygons[~is_right], normals[~is_right]
     # 2. Seen along the axis that is nearest to the normal, a polygon has the most area. GEOS keeps third coordinates.
     axes = (np.abs(normals).sum(axis=1).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
-    seen = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
+    seen: Any = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
     # 3. GEOS takes outlines that touch themselves, but none that cross.
     crossed = ~shapely.is_valid(seen)
     seen[crossed] = shapely.make_valid(seen[crossed], method="structure", keep_collapsed=False)
@@ -108,7 +108,8 @@ def _read_ply(data: bytes) -> list[Polygons]:
     # 1. The header: elements, each with a number of rows and with properties, some of which are lists.
     header, _, body = data.partition(b"end_header")
     body = body.partition(b"\n")[2]
-    order, elements = None, []
+    order: Any = None
+    elements = []
     for line in header.decode("ascii", "replace").splitlines():
         match line.split():
             case ["format", kind, _]:
