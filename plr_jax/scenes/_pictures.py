@@ -209,9 +209,10 @@ def read_map_server(
     ``occupied_thresh`` occupied, else unknown. What transparency means depends on the mode. ``trinary``: in a picture
     with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS and in Nav2 up to Jazzy.
     ``scale``: pixels that are not opaque are unknown. ``raw``: pixels from 0 to 100 are the occupancy in percent, and
-    other pixels are unknown; alpha does not count. ``origin`` is the pose
-    ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by ``yaw`` radians,
-    counterclockwise, whatever that does to the bounds.
+    other pixels are unknown; alpha does not count.
+
+    ``origin`` is the pose ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by
+    ``yaw`` radians, counterclockwise, whatever that does to the bounds.
 
     Args:
         path: The ``.yaml`` file. Its ``image`` is relative to its folder. ``negate`` is 0 where it is missing,

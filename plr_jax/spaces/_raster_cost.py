@@ -1,9 +1,9 @@
 """Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it.
 
-Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around what is blocked.
+Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around lethal cells.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import product
 from typing import Any
@@ -88,7 +88,7 @@ class RasterCost:
     values: Float[np.ndarray, "..."]
     domain: Box
     interpolation: str
-    _lethal: Bool[np.ndarray, "..."] = field(repr=False)  # the cells around which ``inflated`` raises costs
+    _lethal: Bool[np.ndarray, "..."]  # the cells around which ``inflated`` raises costs
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
         domain = Box.of(bounds, "The bounds")
