@@ -206,8 +206,9 @@ class RasterCost:
         Lethal are the costs 254 of :meth:`from_costmap` and 100 of :meth:`from_occupancy_grid`, and of other cost
         maps all blocked cells. Around cells that are blocked because they are unknown or inscribed, costs stay.
 
-        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell: then the
-        space of a point is that of the robot. Up to ``inflation_radius`` its cost is at least
+        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even where
+        ``inflation_radius`` is less: then the space of a point is that of the robot. Up to ``inflation_radius`` its
+        cost is at least
         ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Factors follow from costs as in
         :meth:`from_costmap`, but costs are not rounded to bytes, as steps would widen the bounds.
 
