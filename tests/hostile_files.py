@@ -20,7 +20,6 @@ import warnings
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +161,7 @@ def main() -> None:
     signal.signal(signal.SIGALRM, _give_up)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
-    for name in (name for name in arguments.readers if find_spec(READERS[name].needs)):
+    for name in arguments.readers:
         found = [trial(name, number, kept, arguments.seed) for number in range(arguments.mutations)]
         seconds, growth = max(each.seconds for each in found), max(each.growth for each in found) / 1e6
         failures = {number: outcome for number, outcome in enumerate(found) if outcome.failed}

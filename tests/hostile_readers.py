@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
 
 import plr_jax
@@ -51,6 +51,8 @@ _GEOJSON = {
     ],
 }
 
+_WKT = "GEOMETRYCOLLECTION (POLYGON ((0 0 1, 4 0 1, 4 4 1, 0 0 1), EMPTY), MULTIPOLYGON (((5 0, 6 0, 6 1, 5 0))))"
+
 
 @dataclass(frozen=True)
 class Reader:
@@ -61,14 +63,12 @@ class Reader:
         suffix: How the names of its files end.
         valid: Makes the files' contents.
         repaired: Takes a mutated file; gives one whose checksum is right, or the same if it is binary and has none.
-        needs: A library without which it cannot read.
     """
 
     read: Callable[[Path], Any]
     suffix: str
     valid: Callable[[], list[bytes]]
     repaired: Callable[[bytes], bytes] | None = None
-    needs: str = "numpy"
 
 
 def _written(save: Callable[[Any, Path], None], values: Iterable[Any]) -> list[bytes]:
@@ -137,6 +137,16 @@ def _picture_files() -> list[bytes]:
         return buffer.getvalue()
 
     return [written(kind, mode) for kind in modes for mode in modes[kind]]
+
+
+def _factor_files() -> list[bytes]:
+    info = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, kind, value in ((33550, 12, (0.5, 0.5, 0.0)), (33922, 12, (0.0, 0.0, 0.0, 10.0, 5e6, 0.0))):
+        info.tagtype[tag], info[tag] = kind, value
+    info[34735], info.tagtype[42113], info[42113] = (1, 1, 0, 1, 1025, 0, 1, 2), 2, "-9999"
+    factors = np.random.default_rng(0).uniform(0.5, 3, (9, 12)).astype(np.float32)
+    Image.fromarray(factors).save(buffer := io.BytesIO(), "TIFF", tiffinfo=info)
+    return [buffer.getvalue()]
 
 
 def _read_mesh(path: Path) -> Any:
@@ -216,15 +226,17 @@ READERS = {
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "WKT": Reader(scenes.read_wkt, ".wkt", lambda: [_WKT.encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
     "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),
     "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
+    "TIFF of factors": Reader(scenes.read_cost_map, ".tif", _factor_files, bytes),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
-    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()], needs="trimesh"),
-    "PLY": Reader(_read_mesh, ".ply", ply_files, needs="trimesh"),
-    "STL": Reader(_read_mesh, ".stl", stl_files, needs="trimesh"),
+    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()]),
+    "PLY": Reader(_read_mesh, ".ply", ply_files),
+    "STL": Reader(_read_mesh, ".stl", stl_files),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
+from jaxtyping import Bool
 
 import plr_jax
 from plr_jax.cli import INTERRUPTED_EXIT
@@ -26,11 +27,11 @@ from plr_jax.cli.inputs import (
 )
 
 if TYPE_CHECKING:
-    from plr_jax import PLR, VisibilityGraph, Workspace
+    from plr_jax import PLR, VisibilityGraph
 
 _LEAVES = ("best", "plane", "continuous", "smooth", "cone")
 _ERROR_POINTS = 20_000
-_SPECK = 1e-5  # obstacles of a smaller share of the map's area are called specks
+_SPECK = 4  # pixels of the largest obstacles and free places that are called specks
 
 
 @command(
@@ -95,8 +96,8 @@ def build(
         raise ValueError(
             f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
         )
-    if named.is_of_pixels():
-        typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(workspace)}")
+    if (free := named.free_pixels()) is not None:
+        typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
     with saying("finding what corners see"):
         oracle = plr_jax.VisibilityGraph(workspace, goal_point)
 
@@ -134,16 +135,15 @@ def build(
     typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
-def _specks(workspace: "Workspace") -> str:
-    """Say how many of a map's vertices belong to specks; an empty text if there are no specks."""
-    import shapely
+def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
+    """Say how many specks a map has beside those that are dropped; an empty text if there are none."""
+    from plr_jax.geometry.masks import without_specks
 
-    parts = np.concatenate([shapely.get_parts(workspace.obstacles), shapely.get_parts(workspace.free_space)])
-    small = parts[shapely.area(parts) <= _SPECK * np.prod(workspace.bounds.width)]
-    if not len(small):
-        return ""
-    count = int(np.sum(shapely.get_num_coordinates(small) - 1))
-    return f", {count:,} of them of specks ({len(small):,}; --drop-specks N drops those of at most N pixels)"
+    _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)
+    plural = "s" * (count > 1)
+    return (
+        f", {count:,} speck{plural} of at most {_SPECK} pixels (--drop-specks {_SPECK} drops them)" if count else ""
+    )
 
 
 def _print_errors(plr: "PLR", oracle: "VisibilityGraph", seed: int) -> None:

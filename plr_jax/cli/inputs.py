@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from plr_jax.cli.app import numbers_of, reason_of, warn
 
@@ -71,7 +71,8 @@ DropSpecksOption = Annotated[
     int | None, _reading_option("Drop obstacles, and free places, of at most so many pixels.", "0")
 ]
 PolygonsOption = Annotated[
-    str | None, _reading_option("What polygons of GeoJSON are.", "obstacles", **choices(("obstacles", "free")))
+    str | None,
+    _reading_option("What polygons are.", "obstacles in GeoJSON, free in .wkt", **choices(("obstacles", "free"))),
 ]
 RadiusOption = Annotated[
     float | None,
@@ -136,12 +137,13 @@ class NamedMap:
         fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {key: value for key, value in fields_of_map.items() if value is not None}
 
-    def is_of_pixels(self) -> bool:
-        """Return whether the map is a picture, or has one, as maps of map_server do."""
-        from plr_jax.scenes import read_image, read_map_server
-        from plr_jax.scenes._workspaces import reader_of
+    def free_pixels(self) -> Bool[np.ndarray, "rows columns"] | None:
+        """Return which pixels of a picture, or of a map of map_server, are free; None for other maps."""
+        from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, free_pixels
 
-        return self.name not in SCENES and reader_of(Path(self.name)) in (read_image, read_map_server)
+        if self.name in SCENES or Path(self.name).suffix.lower() not in (*PICTURE_ENDINGS, *YAML_ENDINGS):
+            return None
+        return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
         """Return the workspace, inflated by the radius if there is one, and the goal if there is one.

@@ -285,7 +285,7 @@ def placed_region(
         raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
     require_resolved_pixels(free.shape, resolution, np.abs(pose[:2]).max())
     free = free if row0 == "bottom" else free[::-1]
-    free = without_specks(free, drop_specks) if drop_specks else free
+    free = without_specks(free, drop_specks)[0] if drop_specks else free
     if not free.any():
         raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
     yaw = pose[2] if len(pose) == 3 else 0.0
@@ -360,14 +360,18 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
 
 
-def without_specks(free: Mask, num_pixels: int) -> Mask:
-    """The grid less components of at most so many pixels: blocked ones become free, and then free ones blocked."""
+def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
+    """The grid less components of at most so many pixels, and how many they are.
+
+    Blocked ones become free, and then free ones blocked.
+    """
+    count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
         is_small[0] = False
-        free = free ^ is_small[label]
-    return free
+        free, count = free ^ is_small[label], count + int(is_small.sum())
+    return free, count
 
 
 def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:

@@ -1,7 +1,7 @@
 """Named scenes, the scene file format, readers of public formats, and variants of a problem."""
 
 from plr_jax.scenes._file import is_scene, load, save
-from plr_jax.scenes._geojson import read_geojson, read_polygons
+from plr_jax.scenes._geojson import read_geojson, read_polygons, read_wkt
 from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
 from plr_jax.scenes._pictures import read_cost_map, read_image, read_map_server
 from plr_jax.scenes._published import (
@@ -39,6 +39,7 @@ __all__ = [
     "read_polygons",
     "read_scen",
     "read_volume",
+    "read_wkt",
     "read_workspace",
     "save",
     "single_door",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._files import errors_named, yaml_of
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
+YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # of Pillow's those that run no other program
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
 _SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # what a file may promise, whatever it holds, and else for what it holds
@@ -31,6 +32,8 @@ _BYTES = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel, where they are not 4
 _BAND = 2**18  # pixels that become numbers at a time
 OPAQUE = 255
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
+_PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
+_PIXEL_IS_POINT = 1025, 0, 1, 2  # a key of GeoTIFF, by which places in the raster are those of pixels' centers
 _BLACK_IS_ZERO, _SIGNED = 1, 2
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # of PNG: between two of a few grays, of 256
 
@@ -73,19 +76,30 @@ def read_image(
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
     with errors_named(path):
-        with opened(path) as picture:
-            free = np.empty((picture.height, picture.width), bool)
-            for rows, light, full, alpha in bands(picture):
-                on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
-                free[rows] = on_white > threshold * full
-        return Workspace.from_mask(
-            free, resolution, origin, row0="top", tolerance=tolerance, drop_specks=drop_specks, squeeze=squeeze
-        )
+        options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
+        return Workspace.from_mask(free_pixels(path, threshold), resolution, origin, row0="top", **options)
+
+
+def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
+    """Which pixels of a picture are free, or of a map of ``map_server``; the picture's first row first."""
+    if path.suffix.lower() in YAML_ENDINGS:
+        return _MapServer.read(path).free(unknown_is_free=False)
+    with opened(path) as picture:
+        free = np.empty((picture.height, picture.width), bool)
+        for rows, light, full, alpha in bands(picture):
+            on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
+            free[rows] = on_white > threshold * full
+    return free
 
 
 @contextmanager
-def opened(path: Path) -> Iterator["Image"]:
-    """A picture, decoded and turned as it says; ``ValueError`` if it is none, damaged, or too large to be decoded."""
+def opened(path: Path, *, floats: bool = False) -> Iterator["Image"]:
+    """A picture, decoded and turned as it says; ``ValueError`` if it is none, damaged, or too large to be decoded.
+
+    Args:
+        path: The file.
+        floats: Whether its pixels may be floating-point numbers.
+    """
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
@@ -96,16 +110,17 @@ def opened(path: Path) -> Iterator["Image"]:
         try:
             picture = Image.open(file, formats=_FORMATS)
         except Exception as error:  # Pillow's decoders raise anything
-            raise ValueError(f"expected a picture ({', '.join(_FORMATS)}), got something else ({error}).") from None
+            expected = "a TIFF of 32-bit floats" if floats else f"a picture ({', '.join(_FORMATS)})"
+            raise ValueError(f"expected {expected}, got something else ({error}).") from None
         with picture:
             _require_modest(picture, num_bytes)
-            _require_plain(picture)
+            if not (floats and picture.mode == "F"):
+                _require_plain(picture)
             try:
-                turned = ImageOps.exif_transpose(picture)
-                turned.load()
+                ImageOps.exif_transpose(picture, in_place=True)
             except Exception as error:
                 raise ValueError(f"the picture is damaged ({error or type(error).__name__}).") from None
-            yield turned
+            yield picture
 
 
 def _require_modest(picture: "Image", num_bytes: int) -> None:
@@ -165,10 +180,10 @@ def _light_of(
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
-    if part.mode in ("1", "L") and "transparency" not in part.info:
+    if part.mode in ("1", "L") and not part.has_transparency_data:
         return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
     red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)
-    return red + green + blue, 3 * (2**8 - 1), alpha
+    return red + green + blue, 3 * (2**8 - 1), alpha if part.has_transparency_data else None
 
 
 # Readers of the maps of ROS's ``map_server``: a YAML file beside a picture.
@@ -191,10 +206,13 @@ def read_map_server(
     """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in the frame of the map.
 
     A pixel's occupancy is ``1 - lightness``, with ``negate`` its lightness. Below ``free_thresh`` it is free, above
-    ``occupied_thresh`` occupied, else unknown. In the mode ``scale`` pixels that are not opaque are unknown as well;
-    in the mode ``raw`` pixels from 0 to 100 are the occupancy in percent, and others unknown. ``origin`` is the pose
-    ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by ``yaw`` radians,
-    counterclockwise, whatever that does to the bounds.
+    ``occupied_thresh`` occupied, else unknown. What transparency means depends on the mode. ``trinary``: in a picture
+    with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS and in Nav2 up to Jazzy.
+    ``scale``: pixels that are not opaque are unknown. ``raw``: pixels from 0 to 100 are the occupancy in percent, and
+    other pixels are unknown; alpha does not count.
+
+    ``origin`` is the pose ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by
+    ``yaw`` radians, counterclockwise, whatever that does to the bounds.
 
     Args:
         path: The ``.yaml`` file. Its ``image`` is relative to its folder. ``negate`` is 0 where it is missing,
@@ -219,8 +237,7 @@ def read_map_server(
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path):
         map_server = _MapServer.read(path)
-        least, most = map_server.free_thresh, map_server.occupied_thresh
-        free = map_server.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
+        free = map_server.free(unknown_is_free)
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
         return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
 
@@ -232,33 +249,45 @@ def read_cost_map(
     unknown_is_free: bool = False,
     interpolation: str = "bilinear",
 ) -> RasterCost:
-    """Read a map of ROS's ``map_server`` as a cost map, in the frame of the map.
+    """Read a map of ROS's ``map_server``, or a TIFF of costs, as a cost map in the frame of the map.
 
-    Pixels become the values of an occupancy grid as ``map_server`` makes them: in the mode ``trinary`` 0 where
-    :func:`read_map_server` finds them free, 100 where occupied, and -1 where unknown; in the mode ``scale`` what is
-    neither is from 0 to 100 as its occupancy is between the thresholds, rounded, and only what is not opaque is
-    unknown (gray 205, which means that elsewhere, is free); in the mode ``raw``, which knows no thresholds, they are
-    the percents themselves. Occupied cells are blocked; of a map without other costs
+    Pixels of ``map_server`` become the values of an occupancy grid as it makes them. In the mode ``trinary`` they are
+    0 where :func:`read_map_server` finds them free, 100 where occupied, and -1 where unknown. In the mode ``scale``
+    what is neither is from 0 to 100 as its occupancy is between the thresholds, rounded, and only what is not opaque
+    is unknown (gray 205, which means that elsewhere, is free). In the mode ``raw``, which knows no thresholds, they
+    are the percents themselves. Occupied cells are blocked; of a map without other costs
     ``read_cost_map(path).inflated(inscribed_radius)`` is what a robot's cost map is.
 
+    Pixels of a TIFF of 32-bit floats are the factors themselves. A cell is blocked where the factor is ``inf``, NaN,
+    or the value that GDAL's tag names as missing. A GeoTIFF lies where its tags say, in its own units; in other files
+    a pixel is a square of side 1, and the outer corner of the lower left one is ``(0, 0)``.
+
     Args:
-        path: The ``.yaml`` file, as for :func:`read_map_server`, of a map that is not turned.
-        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`, and so is ``unknown_is_free``.
+        path: The ``.yaml`` file, as for :func:`read_map_server`, or a ``.tif`` or ``.tiff`` file of one channel of
+            floats; of a map that is not turned.
+        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`, and so is ``unknown_is_free``; neither
+            is for a TIFF.
         unknown_is_free: Whether what is unknown may be passed, as dear as the dearest cell; else it is blocked.
         interpolation: As for :class:`RasterCost`.
 
     Returns:
-        The cost map, in meters, of all pixels of the picture.
+        The cost map of all pixels of the picture, in meters or in the units of the GeoTIFF.
 
     Raises:
-        ValueError: If the file is no such map, it is turned, its picture is damaged or too large, or all is blocked.
+        ValueError: If the file is no such map, it is turned, its picture is damaged or too large, all is blocked, or
+            an option is given that is not for this kind of file.
         OSError: If a file cannot be read.
 
     References:
-        https://docs.nav2.org/configuration/packages/configuring-map-server.html.
+        https://docs.nav2.org/configuration/packages/configuring-map-server.html;
+        OGC GeoTIFF Standard 1.1, 2019.
     """
     path = Path(path)
     with errors_named(path):
+        if path.suffix.lower() in (".tif", ".tiff"):
+            if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
+                raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
+            return _read_factors(path, interpolation)
         map_server = _MapServer.read(path)
         x, y, yaw = map_server.origin
         if yaw != 0:
@@ -276,6 +305,44 @@ def read_cost_map(
             unknown_is_free=unknown_is_free,
             interpolation=interpolation,
         )
+
+
+def _read_factors(path: Path, interpolation: str) -> RasterCost:
+    """The cost map whose factors are the pixels of a TIFF."""
+    with opened(path, floats=True) as picture:
+        if picture.mode != "F":
+            raise ValueError(
+                f"expected a TIFF of 32-bit floats, got a picture of mode {picture.mode}. For gray values of "
+                "map_server give its .yaml file."
+            )
+        tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
+        factors = np.array(picture, np.float32)[::-1]
+    # 1. What is missing.
+    with np.errstate(over="ignore"):
+        factors[factors == np.float32(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))] = np.inf
+    # 2. Where the pixels are: one place in the raster, that place in the map, and the sides of a pixel.
+    if _TRANSFORMATION in tags:
+        raise ValueError(
+            "expected a GeoTIFF whose rows lie along x, got one with a transformation: turn the picture."
+        )
+    rows, columns = factors.shape
+    column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))
+    sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
+    along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
+    keys = np.ravel(tags.get(_GEO_KEYS, ()))
+    if [*_PIXEL_IS_POINT] in keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist():
+        column, row = column + 0.5, row + 0.5
+    lo = x - column * along_x, y - (rows - row) * along_y
+    require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
+    hi = lo[0] + columns * along_x, lo[1] + rows * along_y
+    return RasterCost(factors.astype(np.float64), (lo, hi), interpolation)
+
+
+def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
+    values = tags.get(tag, default)
+    if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
+        raise ValueError(f"expected {len(default)} finite numbers in the tag {tag}, got {shortened(values)}.")
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +384,8 @@ class _MapServer:
         with errors_named(self.image), opened(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
+                if self.mode == "trinary" and alpha is not None:
+                    light = 0.75 * light + 0.25 * full * (alpha / OPAQUE)
                 occupancy = (light if self.negate else full - light) / full
                 if self.mode == "raw":
                     percent = np.rint(_RAW_FULL * light / full)
@@ -325,6 +394,11 @@ class _MapServer:
                     occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
                 cells[rows] = value_of(occupancy)
         return cells
+
+    def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
+        """Which pixels are free; the picture's first row first."""
+        least, most = self.free_thresh, self.occupied_thresh
+        return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
         """Values of cells of ROS's ``OccupancyGrid``, from 0 to 100, and -1 where they are unknown."""

@@ -1,7 +1,5 @@
-"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes of triangles."""
+"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes."""
 
-import io
-import logging
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,20 +12,18 @@ from plr_jax._arrays import as_bool, as_finite, parts, runs, shortened
 from plr_jax._files import errors_named, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.scenes._meshes import MESH_ENDINGS, Triangles, read_mesh
 
-_MESH_ENDINGS = (".stl", ".obj", ".ply")
 _MOST_VOXELS, _MOST_RANK = 2**28, 4
 _MOST_LIST_BYTES = 2**25
 _SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may promise this many voxels, or this many for each byte
 
-_MOST_MESH_BYTES, _MOST_MESH_VOXELS = 2**26, 2**24
+_MOST_MESH_VOXELS = 2**24
 _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows that pieces of triangles reach, and voxels that they meet
 _AT_A_TIME = 2**15  # slabs or rows, which bounds the memory
 _TOUCHES = 1e-6  # of a voxel: how far from a voxel the surface still counts as meeting it
 _FARTHEST = 2**30  # voxels from the bounds: rounding of coordinates stays below `_TOUCHES`
-_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL file
 
-Triangles: TypeAlias = Float[np.ndarray, "n 3 3"]
 Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
 Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
@@ -51,8 +47,8 @@ def read_volume(
             ``x y z`` of one blocked voxel a line; at most 32 MiB, and as many voxels, but above 16,777,216 at most
             256 for each byte of the file.
 
-            ``.stl``, ``.obj``, ``.ply``: a mesh of triangles, by trimesh (``pip install 'plr-jax[meshes]'``); at most
-            64 MiB and 16,777,216 voxels. A voxel is blocked if the surface meets it, its faces included, to a
+            ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, concave ones too, as text or in binary; at most 64
+            MiB and 16,777,216 voxels. A voxel is blocked if the surface meets it, its faces included, to a
             millionth of a voxel: nothing is free that the mesh touches, and where the surface lies in a plane of the
             grid, the voxels on both sides are blocked.
         pitch: Of a mesh, and needed there: the width of the voxels, in its units.
@@ -68,7 +64,6 @@ def read_volume(
     Raises:
         ValueError: If the file is of no such kind, is damaged or too large, nothing in it is free, or an argument is
             out of range or given for another kind of file.
-        ImportError: If there is no trimesh to read a mesh.
         OSError: If the file cannot be read.
 
     References:
@@ -76,14 +71,14 @@ def read_volume(
     """
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
-    is_mesh = ending in _MESH_ENDINGS
+    is_mesh = ending in MESH_ENDINGS
     with errors_named(path):
-        if ending not in (".npy", ".3dmap", *_MESH_ENDINGS):
-            raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(_MESH_ENDINGS)}.")
+        if ending not in (".npy", ".3dmap", *MESH_ENDINGS):
+            raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(MESH_ENDINGS)}.")
         if not is_mesh:
             if pitch is not None or bounds is not None or not fill:
                 raise ValueError(
-                    f"pitch, bounds and fill are for meshes ({', '.join(_MESH_ENDINGS)}): leave them out."
+                    f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out."
                 )
             free = _read_array(path) if ending == ".npy" else _read_list(path)
         else:
@@ -92,7 +87,7 @@ def read_volume(
             box = None if bounds is None else Box.of(bounds, "bounds")
             if box is not None and box.dim != 3:
                 raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-            free = free_of_mesh(_read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
+            free = free_of_mesh(read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
     if not free.any():
         enclosed = ": fill=False leaves free what the surface encloses" if is_mesh and fill else ""
         raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
@@ -147,46 +142,14 @@ def _read_list(path: Path) -> Voxels:
     return free
 
 
-def _read_mesh(path: Path) -> Triangles:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise ImportError(
-            "Meshes are read by trimesh, which is not installed: pip install 'plr-jax[meshes]'."
-        ) from error
-    with path.open("rb") as file:
-        data = file.read(_MOST_MESH_BYTES + 1)
-    if len(data) > _MOST_MESH_BYTES:
-        raise ValueError(f"expected a mesh of at most {_MOST_MESH_BYTES:,} bytes, got a larger file.")
-    kind = path.suffix[1:].lower()
-    num_triangles = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
-    is_binary_stl = kind == "stl" and len(data) == _STL_HEADER + _STL_TRIANGLE * num_triangles
-    if kind == "obj" or (kind == "stl" and not is_binary_stl):
-        data = data.decode("utf-8", "replace").encode()  # or trimesh would guess the encoding of the text
-    log = logging.getLogger("trimesh")
-    level = log.level
-    log.setLevel(logging.CRITICAL + 1)  # trimesh logs tracebacks of parts of a file that it does without
-    try:  # from memory, so that files that the mesh names are not looked for
-        options: Any = {"process": False, "skip_materials": True}
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, **options)
-        triangles = np.asarray(mesh.triangles, np.float64)
-    except Exception as error:  # trimesh's readers raise anything
-        raise ValueError(f"expected a mesh, got something else or a damaged file ({error}).") from None
-    finally:
-        log.setLevel(level)
-    if triangles.shape[1:] != (3, 3) or not len(triangles) or not np.isfinite(triangles).all():
-        raise ValueError("expected a mesh of triangles with corners 'x y z', finite ones, got none or others.")
-    return triangles
-
-
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
     """Return which voxels of a grid over the bounds, or over the bounding box of the mesh, are free of the mesh."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
         count = np.maximum(1.0, np.ceil((hi - lo) / pitch - _TOUCHES))
-        triangles = (triangles - lo) / pitch
-    if not count.prod() <= _MOST_MESH_VOXELS:
+        triangles, size = (triangles - lo) / pitch, count.prod()
+    if not size <= _MOST_MESH_VOXELS:
         sizes = " x ".join(f"{along:.6g}" for along in count)
         raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
     blocked = np.zeros(count.astype(np.int64).tolist(), bool)

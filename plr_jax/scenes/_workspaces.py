@@ -9,11 +9,11 @@ from typing import Any
 from plr_jax._files import errors_named, json_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._file import is_scene, load
-from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons
+from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons, read_wkt
 from plr_jax.scenes._movingai import read_map
-from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image, read_map_server
+from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, read_map_server
 
-_ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
+_ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS)
 
 
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
@@ -21,8 +21,9 @@ def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
 
     Args:
         path: A picture (:func:`read_image`); a map of ``map_server``, ``.yaml`` (:func:`read_map_server`); GeoJSON,
-            ``.json`` or ``.geojson`` (:func:`read_geojson`); a Moving AI grid, ``.map`` (:func:`read_map`); polygons
-            with holes, ``.json`` (:func:`read_polygons`); a scene, ``.json`` (:func:`load`).
+            ``.json`` or ``.geojson`` (:func:`read_geojson`); well-known text, ``.wkt`` (:func:`read_wkt`); a Moving
+            AI grid, ``.map`` (:func:`read_map`); polygons with holes, ``.json`` (:func:`read_polygons`); a scene,
+            ``.json`` (:func:`load`).
         **options: Those of the reader.
 
     Returns:
@@ -52,12 +53,14 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
             return read_map
         case ".geojson":
             return read_geojson
+        case ".wkt":
+            return read_wkt
         case ".json":
             if is_scene(path):
                 return _workspace_of_scene
             with errors_named(path):
                 return read_geojson if is_geojson(json_of(path)) else read_polygons
-        case ".yaml" | ".yml":
+        case ending if ending in YAML_ENDINGS:
             return read_map_server
         case ending if ending in PICTURE_ENDINGS:
             return read_image

@@ -1,6 +1,6 @@
 """Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it.
 
-Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around what is blocked.
+Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around lethal cells.
 """
 
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from plr_jax._arrays import (
     as_points,
     parts,
     runs,
+    set_fields,
     shortened,
     with_inf_for_masked,
 )
@@ -36,6 +37,7 @@ _MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes 
 # What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
 # times what the few operations of each amount to. All of an interpolation's terms are positive.
 _OF_PLACES, _OF_FACTORS = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+_OF_RADII = 1e-9  # by what share distances of cells may exceed a radius: rounding of the bounds changes them by less
 # Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the values
 # that tell of them in the occupancy grids in which Nav2 and ROS publish cost maps.
 _DEAREST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
@@ -86,6 +88,7 @@ class RasterCost:
     values: Float[np.ndarray, "..."]
     domain: Box
     interpolation: str
+    _lethal: Bool[np.ndarray, "..."]  # the cells around which ``inflated`` raises costs
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
         domain = Box.of(bounds, "The bounds")
@@ -109,9 +112,7 @@ class RasterCost:
         if np.isinf(factors).all():
             raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} that all are.")
         factors.flags.writeable = False
-        object.__setattr__(self, "values", factors)
-        object.__setattr__(self, "domain", domain)
-        object.__setattr__(self, "interpolation", interpolation)
+        set_fields(self, values=factors, domain=domain, interpolation=interpolation, _lethal=np.isinf(factors))
 
     @classmethod
     def from_costmap(
@@ -149,7 +150,9 @@ class RasterCost:
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
             blocked &= costs < _UNKNOWN
-        return cls(np.where(blocked, np.inf, factors), bounds, interpolation)
+        cost = cls(np.where(blocked, np.inf, factors), bounds, interpolation)
+        set_fields(cost, _lethal=costs == _LETHAL)
+        return cost
 
     @classmethod
     def from_occupancy_grid(
@@ -198,16 +201,21 @@ class RasterCost:
         cost_scaling_factor: float | int = 10.0,
         cost_travel_multiplier: float | int = 2.0,
     ) -> "RasterCost":
-        """The cost map with higher costs around what is blocked, as the inflation layer of Nav2 makes them.
+        """The cost map with higher costs around lethal cells, as the inflation layer of Nav2 makes them.
 
-        Up to ``inscribed_radius`` from the center of a blocked cell, cells are blocked: then the space of a point is
-        that of the robot. Up to ``inflation_radius`` their costs are at least
-        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``, of which factors are made as
-        :meth:`from_costmap` does; not rounded to bytes, as steps of costs would have bounds of their own.
+        Lethal are the costs 254 of :meth:`from_costmap` and 100 of :meth:`from_occupancy_grid`, and of other cost
+        maps all blocked cells. Around cells that are blocked because they are unknown or inscribed, costs stay.
+
+        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even where
+        ``inflation_radius`` is less: then the space of a point is that of the robot. Up to ``inflation_radius`` its
+        cost is at least
+        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Factors follow from costs as in
+        :meth:`from_costmap`, but costs are not rounded to bytes, as steps would widen the bounds.
 
         Args:
             inscribed_radius: Of the robot, in the units of the bounds, at least 0.
-            inflation_radius: How far costs are raised, as Nav2's parameter has it.
+            inflation_radius: How far costs are raised, rounded up to whole cells as Nav2 does (of the shorter side
+                where cells are not square).
             cost_scaling_factor: By what power of e they fall a unit of distance.
             cost_travel_multiplier: As for :meth:`from_costmap`.
 
@@ -224,14 +232,18 @@ class RasterCost:
         reach = as_finite("inflation_radius", inflation_radius)
         scaling = as_finite("cost_scaling_factor", cost_scaling_factor)
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
-        if self.free.all():
+        if not self._lethal.any():
             return self
-        around, middle = self._periods(self.free)
+        around, middle = self._periods(~self._lethal)
         distance: Any = ndimage.distance_transform_edt(around, sampling=self._sides)
-        distance = distance[middle]
+        distance = distance[middle] * (1 - _OF_RADII)
+        side = self._sides.min()
+        reach = side * np.ceil(reach / side * (1 - _OF_RADII))
         share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
         factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
-        return RasterCost(factors, self.domain, self.interpolation)
+        cost = RasterCost(factors, self.domain, self.interpolation)
+        set_fields(cost, _lethal=self._lethal)
+        return cost
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.values.shape))

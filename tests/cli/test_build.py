@@ -36,15 +36,26 @@ def test_build_keeps_the_budget_and_says_what_it_made(path):
     assert "% of the largest distance" in said and "s to build" in said
 
 
-def test_specks_of_a_picture_are_told(path, tmp_path):
+@pytest.mark.parametrize("name", ["scan.png", "scan.yaml"])
+def test_specks_are_counted_in_pixels_before_the_map_is_inflated(name, path, tmp_path):
     gray = np.full((400, 400), 255, np.uint8)
-    gray[50:60, :150], gray[100, 100] = 0, 0
+    gray[50:60, :150] = 0
+    gray[100, 100] = gray[200:202, 200:202] = 0  # specks of 1 and 4 pixels
+    gray[300, 300], gray[301, 301] = 0, 0  # one of 2, which touch in a corner
+    gray[250, 100:105] = 0  # 5 pixels: none
+    gray[52:54, 50] = 255  # a free place of 2
     Image.fromarray(gray).save(tmp_path / "scan.png")
-    command = ["build", tmp_path / "scan.png", "--goal", "1,1", "--resolution", 0.05, "-o", path, "--leaf", "plane"]
-    said = done(*command, "--max-leaves", 9)
-    assert "map     12 vertices, 4 of them of specks (1; --drop-specks N drops" in said
-    np.testing.assert_allclose(load(path).domain.hi, 20)
-    assert "map     8 vertices\n" in done(*command, "--drop-specks", 1, "--max-leaves", 8)
+    (tmp_path / "scan.yaml").write_text("image: scan.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    command = ["build", tmp_path / name, "--goal", "1,1", "-o", path, "--leaf", "plane", "--max-leaves", 9]
+    command += ["--resolution", 0.05] if name == "scan.png" else []
+    for radius, upper in ((), 20), (("--radius", 0.3), 19.7):
+        said = done(*command, *radius)
+        assert re.search(
+            r"map     [0-9]+ vertices, 4 specks of at most 4 pixels \(--drop-specks 4 drops them\)\n", said
+        )
+        np.testing.assert_allclose(load(path).domain.hi, upper)
+    assert "vertices, 1 speck of at most 4" in done(*command, "--drop-specks", 2)  # the one of 4 pixels
+    assert re.search("map     [0-9]+ vertices\n", done(*command, "--drop-specks", 4))
 
 
 def test_build_is_construct(path, tmp_path, monkeypatch):

@@ -114,9 +114,9 @@ def test_a_picture_is_read_as_the_options_say(pictures):
 
 def test_only_pictures_are_of_pixels(maps, pictures, tmp_path):
     for path in (pictures / "a.png", pictures / "scan.yaml"):
-        assert NamedMap(str(path)).is_of_pixels()
+        np.testing.assert_array_equal(NamedMap(str(path)).free_pixels().sum(), 23 if path.suffix == ".png" else 0)
     for path in ("maze", *(maps / name for name in ("grid.map", "maze.json"))):
-        assert not NamedMap(str(path)).is_of_pixels()
+        assert NamedMap(str(path)).free_pixels() is None
     limits = ("--max-leaves", 4, "--leaf", "plane", "-o", tmp_path / "a.plr")
     said = done("build", maps / "grid.map", "--goal", "1,1", *limits)
     assert "drop-specks" not in said and not said.startswith("map")

@@ -76,6 +76,47 @@ def test_altitudes_are_dropped(tmp_path):
     assert scenes.read_geojson(path, polygons="free").free_space.area == 4.5
 
 
+TRIANGLE = {"type": "Polygon", "coordinates": [[[0, 0], [3, 0], [3, 3], [0, 0]]]}
+NOTHING = [
+    {"type": "Polygon", "coordinates": []},
+    {"type": "Polygon", "coordinates": [[]]},
+    {"type": "Polygon", "coordinates": [[], []]},
+    {"type": "Polygon", "coordinates": [None]},
+    {"type": "Polygon", "coordinates": None},
+    {"type": "MultiPolygon", "coordinates": []},
+    {"type": "MultiPolygon", "coordinates": [[], [[]], None]},
+    {"type": "GeometryCollection", "geometries": []},
+    {"type": "GeometryCollection", "geometries": [None, {"type": "Polygon", "coordinates": []}]},
+    {"type": "Feature", "geometry": None},
+    {"type": "FeatureCollection", "features": []},
+    {"type": "FeatureCollection", "features": None},
+    {"type": "Point", "coordinates": []},
+    {"type": "MultiLineString", "coordinates": []},
+    None,
+]
+
+
+@pytest.mark.parametrize("nothing", NOTHING, ids=str)
+def test_what_is_null_or_empty_counts_for_nothing_anywhere(nothing, tmp_path):
+    with pytest.raises(ValueError, match=r"a\.geojson: expected (a polygon at least, got none|GeoJSON)"):
+        scenes.read_geojson(written(tmp_path, nothing if nothing else "null"))
+    is_geometry = nothing is None or not nothing["type"].startswith("Feature")
+    inside = {"type": "GeometryCollection", "geometries": [nothing, TRIANGLE]}
+    for document in (
+        {"type": "FeatureCollection", "features": [nothing if not is_geometry else None, feature(None), TRIANGLE]},
+        *([inside, {"type": "Feature", "geometry": inside}] if is_geometry else []),
+    ):
+        assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.5
+
+
+@pytest.mark.parametrize("rings", [[[]], [None], [[], [], None]])
+def test_empty_holes_count_for_nothing(rings, tmp_path):
+    hole = [[2, 0.5], [2.5, 0.5], [2.5, 1], [2, 1]]  # of area 0.25
+    polygon = {"type": "Polygon", "coordinates": [*TRIANGLE["coordinates"], *rings, hole, *rings]}
+    for document in (polygon, {"type": "MultiPolygon", "coordinates": [[], polygon["coordinates"], None]}):
+        assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.25
+
+
 def test_degrees_are_warned_of(tmp_path):
     town = shapely.box(13.37, 52.51, 13.38, 52.52) - shapely.box(13.374, 52.513, 13.376, 52.515)
     with pytest.warns(UserWarning, match=r"a\.geojson: coordinates look like degrees of longitude and latitude"):
@@ -115,7 +156,9 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ({"type": "Polygon", "coordinates": [[["0", "0"], ["1", "0"], ["0", "1"]]]}, "of numbers, got"),
         ({"type": "Polygon", "coordinates": [["12", "34", "57"]]}, "of numbers, got"),
         ({"type": "Polygon", "coordinates": [[[True, False], [2, 0], [2, 1]]]}, "of numbers, got"),
-        ({"type": "Polygon", "coordinates": []}, "polygon: expected a list of rings"),
+        ({"type": "Polygon", "coordinates": []}, "expected a polygon at least, got none"),
+        ({"type": "Polygon", "coordinates": [[], SQUARE]}, "polygon: expected an outer ring before its holes"),
+        ({"type": "MultiPolygon", "coordinates": [3]}, "polygon 0: expected a list of rings, got 3"),
         ({"type": "Polygon", "coordinates": [SQUARE[:2]]}, "at least 3 finite points"),
         ({"type": "Polygon", "coordinates": [[[0, 0], [1], [1, 1]]]}, "at least 3 finite points"),
         ({"type": "Polygon", "coordinates": [[[0, 0], ["a", 1], [1, 1]]]}, "at least 3 finite points"),
@@ -125,7 +168,7 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ({"type": "Polygon", "coordinates": [[[0, 0], [1, 1], [2, 2]]]}, "zero area"),
         (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
-        (collection(TABLE), "no free space: .* bounding box of the polygons: give the file a \"bbox\" .* 'free'"),
+        (collection(TABLE), "no free space: .* bounding box of the polygons: give bounds .* a \"bbox\".* 'free'"),
         (collection(TABLE, bbox=[2, 2, 4, 5]), "no free space: the obstacles cover its bounds.$"),
     ],
     ids=itertools.count(),
@@ -138,3 +181,67 @@ def test_what_is_no_map_is_refused_by_name(document, message, tmp_path):
 def test_polygons_are_one_of_two(tmp_path, unchecked_types):
     with pytest.raises(ValueError, match="polygons must be 'obstacles' or 'free', got 'walls'"):
         scenes.read_geojson(written(tmp_path, collection(TABLE)), polygons="walls")
+
+
+# --- well-known text -----------------------------------------------------------------------------------
+
+# A room of 10 x 8 with a table of 2 x 3 in it, and a hallway of 2 x 1 beside it: 80 - 6 + 2.
+ROOM = "((0 0, 10 0, 10 8, 0 8, 0 0), (2 2, 4 2, 4 5, 2 5, 2 2))"
+HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
+
+
+@pytest.mark.parametrize(
+    ("text", "area"),
+    [
+        (f"POLYGON {ROOM}", 74),
+        (f"polygon{ROOM}\n\n", 74),
+        (f"MULTIPOLYGON ({ROOM}, {HALLWAY})", 76),
+        (f"MULTIPOLYGON (EMPTY, {ROOM}, {HALLWAY})", 76),
+        (f"MULTIPOLYGON ({ROOM}, ((5 5, 7 5, 7 7, 5 7, 5 5)))", 74),  # which overlap
+        (f"GEOMETRYCOLLECTION (POLYGON {ROOM}, GEOMETRYCOLLECTION (MULTIPOLYGON ({HALLWAY})))", 76),
+        (f"GEOMETRYCOLLECTION (POINT EMPTY, POLYGON EMPTY, POLYGON {ROOM}, LINESTRING EMPTY)", 74),
+        ("POLYGON Z ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
+        ("POLYGON ((0 0 5, 3 0 5, 3 3 nan, 0 0 5))", 4.5),
+        ("POLYGON M ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
+        ("POLYGON ZM ((0 0 5 1, 3 0 5 2, 3 3 6 3, 0 0 5 1))", 4.5),
+        ("MULTIPOLYGON Z (((0 0 5, 3 0 5, 3 3 6, 0 0 5)))", 4.5),
+        ("POLYGON ((0 0, 3 0, 3 3, 0 0), EMPTY)", 4.5),
+    ],
+)
+def test_polygons_in_well_known_text_are_free_space(text, area, tmp_path):
+    path = written(tmp_path, text, "a.wkt")
+    assert scenes.read_wkt(path).free_space.area == pytest.approx(area, abs=1e-12)
+    assert scenes.read_workspace(path).free_space.area == pytest.approx(area, abs=1e-12)
+    around = scenes.read_wkt(path, polygons="obstacles", bounds=((-5, -5), (15, 15)))
+    assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
+
+
+def test_a_walkable_area_of_a_building_is_read(data_dir):
+    expected = shapely.from_wkt((data_dir / "jupedsim" / "arena.wkt").read_text())
+    workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")
+    assert workspace.free_space.area == pytest.approx(expected.area, rel=1e-9)
+    np.testing.assert_allclose([*workspace.bounds.lo, *workspace.bounds.hi], expected.bounds)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected one geometry in WKT"),
+        ("POLYGON EMPTY", "expected a polygon at least, got none"),
+        ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
+        ("POLYGON ((0 0, 1 0, 1 x, 0 0))", "expected one geometry in WKT"),
+        (f"POLYGON {ROOM}\nPOLYGON {HALLWAY}", "Put several geometries into a GEOMETRYCOLLECTION"),
+        ("SRID=4326;POLYGON ((0 0, 1 0, 1 1, 0 0))", "Unknown type: 'SRID=4326;POLYGON'"),
+        ("CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))", "expected one geometry in WKT, .*Nonlinear"),
+        ("GEOMETRYCOLLECTION (" * 10**5 + ")" * 10**5, "at most 32 deep"),
+        ("POLYGON ((0 0, 1 nan, 1 1, 0 0))", "polygon 0 has coordinates that are not finite"),
+        ("POLYGON ((0 0, 1e999 0, 1 1, 0 0))", "polygon 0 has coordinates that are not finite"),
+        ("POLYGON ((0 0, 2 2, 2 0, 0 2, 0 0))", "polygon 0 is not a simple polygon"),
+        (f"GEOMETRYCOLLECTION (POLYGON {HALLWAY}, POINT (1 1))", "polygon 1 must be a polygon, got a Point"),
+        ("LINESTRING (0 0, 1 1)", "polygon 0 must be a polygon, got a LineString"),
+    ],
+    ids=itertools.count(),
+)
+def test_what_is_no_well_known_text_of_polygons_is_refused_by_name(text, message, tmp_path):
+    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):
+        scenes.read_wkt(written(tmp_path, text, "a.wkt"))

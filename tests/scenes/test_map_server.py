@@ -69,6 +69,46 @@ def test_raw_pixels_are_percents(tmp_path):
     assert area(path, unknown_is_free=True) == 6 * 0.25  # all but 100 and 65 is none above 0.65
 
 
+@pytest.mark.parametrize(
+    ("pixel", "mode", "negate", "value"),
+    [
+        # Trinary: occupancy is 1 - (red + green + blue + alpha) / 1020.
+        ((200, 200, 200, 255), "trinary", 0, 0),  # 0.162; 0.216 without alpha
+        ((205, 205, 205, 255), "trinary", 0, 0),  # 0.147; 0.196 without alpha
+        ((180, 180, 180, 255), "trinary", 0, -1),  # 0.221
+        ((255, 255, 255, 0), "trinary", 0, -1),  # 0.25
+        ((255, 255, 255, 128), "trinary", 0, 0),  # 0.125
+        ((0, 0, 0, 255), "trinary", 0, 100),  # 0.75
+        ((60, 30, 0, 255), "trinary", 0, 100),  # 0.662; the mean of the colors alone is 0.882
+        ((64, 50, 0, 255), "trinary", 0, -1),  # 0.638
+        ((0, 0, 0, 0), "trinary", 0, 100),  # 1
+        # With negate it is the mean itself.
+        ((0, 0, 0, 255), "trinary", 1, -1),  # 0.25
+        ((0, 0, 0, 128), "trinary", 1, 0),  # 0.125
+        ((255, 255, 255, 0), "trinary", 1, 100),  # 0.75
+        ((200, 200, 200), "trinary", 0, -1),  # no alpha: 0.216
+        ((205, 205, 205), "trinary", 0, -1),  # 0.19608
+        ((0, 0, 0), "trinary", 1, 0),  # 0
+        ((200, 200, 200, 255), "scale", 0, 4),  # (0.2157 - 0.196) / (0.65 - 0.196) * 100 = 4.3
+        ((255, 255, 255, 254), "scale", 0, -1),
+        ((40, 40, 40, 0), "raw", 0, 40),
+    ],
+)
+def test_alpha_is_averaged_with_colors_in_the_mode_trinary_alone(pixel, mode, negate, value, tmp_path):
+    yaml = YAML.replace("map.pgm", "map.png").replace("negate: 0", f"negate: {negate}\nmode: {mode}")
+    pixels = np.full((1, 2, len(pixel)), pixel, np.uint8)
+    background = 0 if mode == "raw" or negate else 255  # a free pixel
+    pixels[0, 1] = [*[background] * 3, 255 * (not negate)][: len(pixel)]
+    path = written(tmp_path, yaml, pixels, "map.png")
+    assert area(path) == (1 + (value == 0)) * 0.25
+    assert area(path, unknown_is_free=True) == (1 + (value <= 65)) * 0.25
+    costs = scenes.read_cost_map(path, cost_travel_multiplier=252).values[0, 0] - 1  # of bytes, inf where blocked
+    if value in (-1, 100):
+        assert costs == np.inf
+    else:
+        np.testing.assert_allclose(costs, np.interp(value, (0, 1, 98), (0, 1, 252)))
+
+
 def test_in_the_mode_scale_transparent_pixels_are_unknown(tmp_path):
     gray = np.full((1, 3, 4), 255, np.uint8)
     gray[0, 1, 3] = 128

@@ -1,10 +1,12 @@
-import sys
+import struct
 
 import numpy as np
 import pytest
+import shapely
 from volume_files import stl_files
 
 from plr_jax import Box, scenes
+from plr_jax.scenes._meshes import triangulated
 from plr_jax.scenes._volumes import free_of_mesh
 
 CUBE = [[2, 0, 3], [0, 1, 3], [4, 6, 7], [5, 4, 7], [0, 4, 5], [1, 0, 5], [2, 3, 7], [6, 2, 7], [0, 2, 6], [4, 0, 6]]
@@ -102,7 +104,6 @@ def test_files_of_meshes(ending, tmp_path):
 
 
 def test_a_text_in_another_encoding_is_read_and_files_that_it_names_are_not(tmp_path):
-    pytest.importorskip("trimesh")
     path = written(tmp_path / "room.obj", box((0, 0, 0), (4, 4, 4)))
     (tmp_path / "walls.mtl").write_text("newmtl wall\nmap_Kd /dev/zero\n")
     path.write_bytes("# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1") + path.read_bytes())
@@ -124,7 +125,6 @@ def test_a_text_in_another_encoding_is_read_and_files_that_it_names_are_not(tmp_
     ],
 )
 def test_a_callers_mistakes(options, message, tmp_path):
-    pytest.importorskip("trimesh")
     path = written(tmp_path / "room.obj", box((0, 0, 0), (4, 4, 4)))
     with pytest.raises(ValueError, match=rf"room\.obj: .*{message}"):
         scenes.read_volume(path, **options)
@@ -139,9 +139,10 @@ def test_too_much_work_is_refused(monkeypatch):
             free_of_mesh(triangles, 1.0, None, fill=False)
 
 
-@pytest.mark.parametrize("text", ["", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"])
+@pytest.mark.parametrize(
+    "text", ["", "\0" * 84, "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"]
+)
 def test_what_is_no_mesh_is_refused(text, tmp_path):
-    pytest.importorskip("trimesh")
     for ending in ("obj", "stl", "ply"):
         path = tmp_path / f"wrong.{ending}"
         path.write_text(text)
@@ -149,15 +150,206 @@ def test_what_is_no_mesh_is_refused(text, tmp_path):
             scenes.read_volume(path, pitch=1.0)
 
 
-def test_without_trimesh_an_error_says_how_to_install_it(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(ImportError, match=r"trimesh, which is not installed: pip install 'plr-jax\[meshes\]'"):
-        scenes.read_volume(tmp_path / "room.stl", pitch=1.0)
+# --- polygons -------------------------------------------------------------------------------------------
+
+# A wall of 10 x 4 whose outline goes around a door of 2.2 x 2.1: 4 of its 40 voxels are open.
+DOOR = [(0, 0), (3.9, 0), (3.9, 2.1), (6.1, 2.1), (6.1, 0), (10, 0), (10, 4), (0, 4)]
+# The same wall with a window, which a cut joins to the outside: voxels (4, 1), (5, 1), (4, 2) and (5, 2) are open.
+WINDOW = [(0, 0), (10, 0), (10, 4), (0, 4), (0, 0), (3.9, 0.9), (3.9, 3.1), (6.1, 3.1), (6.1, 0.9), (3.9, 0.9)]
 
 
-def test_what_trimesh_logs_of_parts_that_it_does_without_is_not_shown(tmp_path, caplog):
-    pytest.importorskip("trimesh")
-    path = tmp_path / "room.stl"
-    path.write_bytes(stl_files()[1].replace(b"normal 0", b"normal x"))
-    assert scenes.read_volume(path, pitch=0.25, fill=False).shape == (13, 4, 6)
-    assert not caplog.records
+def obj_of(polygons):
+    lines = ["v {} {} {}".format(*corner) for polygon in polygons for corner in polygon]
+    ends = np.cumsum([len(polygon) for polygon in polygons])
+    lines += ["f " + " ".join(map(str, range(e - len(p) + 1, e + 1))) for e, p in zip(ends, polygons, strict=True)]
+    return "\n".join(lines).encode()
+
+
+def ply_of(polygons, order="binary_little_endian", kinds=("uchar", "int"), before=(), after=()):
+    """A PLY file of polygons, whose faces have more properties before or after the list of corners."""
+    prefix, letters = ">" if "big" in order else "<", {"uchar": "B", "int": "i", "uint": "I", "ushort": "H"}
+    corners = [corner for polygon in polygons for corner in polygon]
+    header = [f"ply\nformat {order} 1.0\ncomment made by hand\nelement vertex {len(corners)}\nproperty uchar red"]
+    header += [f"property double {axis}" for axis in "zxy"] + [f"element face {len(polygons)}"]
+    header += [*before, f"property list {kinds[0]} {kinds[1]} vertex_index", *after, "end_header\n"]
+    rows, first = [((7, z, x, y), "B3d") for x, y, z in corners], 0
+    for polygon in polygons:
+        numbers = range(first, first := first + len(polygon))
+        row, form = [len(polygon), *numbers], letters[kinds[0]] + str(len(polygon)) + letters[kinds[1]]
+        for prop in before:
+            row, form = (
+                ([0.5, *row], "f" + form) if prop == "property float quality" else ([2, 0, 1, *row], "B2f" + form)
+            )
+        for _ in after:
+            row, form = [*row, 3], form + "h"
+        rows.append((row, form))
+    if order == "ascii":
+        return ("\n".join(header) + "\n".join(" ".join(map(str, row)) for row, _ in rows)).encode()
+    return "\n".join(header).encode() + b"".join(struct.pack(prefix + form, *row) for row, form in rows)
+
+
+def read(folder, data, name, **options):
+    (folder / name).write_bytes(data)
+    return scenes.read_volume(folder / name, **{"pitch": 1.0, "fill": False} | options)
+
+
+def standing(outline, axis, at=0.5):
+    """An outline in the plane across an axis, as corners."""
+    return np.insert(np.array(outline, float), axis, at, axis=1)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("outline", "is_open"), [(DOOR, np.s_[4:6, 0:2]), (WINDOW, np.s_[4:6, 1:3])], ids=["door", "window"]
+)
+def test_concave_faces_leave_openings_free(kind, axis, outline, is_open, tmp_path):
+    expected = np.zeros((10, 4), bool)
+    expected[is_open] = True
+    shape = np.insert(np.array((10, 4)), axis, 2)
+    for shift in range(0, len(outline), 3):
+        for turn in (1, -1):
+            wall = standing(outline if outline is WINDOW else np.roll(outline, shift, axis=0)[::turn], axis)
+            data = obj_of([wall]) if kind == "obj" else ply_of([wall], kind)
+            free = read(tmp_path, data, "wall.obj" if kind == "obj" else "wall.ply", bounds=((0, 0, 0), shape))
+            np.testing.assert_array_equal(free.take(0, axis), expected)
+            assert free.take(1, axis).all()
+
+
+@pytest.mark.parametrize("size", [4, 5, 8, 40])
+def test_triangles_fill_polygons_and_nothing_else(size):
+    rng = np.random.default_rng(size)
+    for _ in range(20):
+        angles = np.sort(rng.uniform(0, 2 * np.pi, size))
+        outline = rng.uniform(0.2, 1, size)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        polygon = shapely.Polygon(outline)
+        if not polygon.is_valid:
+            continue
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        triangles = triangulated((np.insert(outline, 2, 0.3, axis=1) @ turn)[None]) @ turn.T
+        np.testing.assert_allclose(triangles[..., 2], 0.3)
+        flat = shapely.polygons(triangles[..., :2])
+        assert shapely.area(flat).sum() == pytest.approx(polygon.area)
+        assert shapely.area(shapely.union_all(flat)) == pytest.approx(polygon.area)
+        assert shapely.difference(shapely.union_all(flat), polygon).area < 1e-12
+        assert len(triangles) == size - 2
+
+
+def test_faces_that_are_odd():
+    def areas(*corners):
+        sides = np.diff(triangulated(np.array([corners], float)), axis=1)
+        return np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum() / 2
+
+    assert areas((0, 0, 0), (2, 2, 0), (2, 0, 0), (0, 2, 0)) == pytest.approx(2)  # which crosses itself
+    assert areas((0, 0, 0), (0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)) == pytest.approx(1)  # a corner twice
+    assert areas((0, 0, 0), (0, 3, 0), (0, 4, 0), (0, 3, 0), (0, 3, 2)) == pytest.approx(3)  # with a spike
+    assert areas((0, 0, 0), (1, 0, 0), (2, 0, 0), (2, 0, 2), (0, 0, 2)) == pytest.approx(4)  # straight at a corner
+    line = triangulated(np.array([[(0, 0, 0), (1, 1, 1), (3, 3, 3), (2, 2, 2)]], float))
+    np.testing.assert_array_equal([line.min(axis=(0, 1)), line.max(axis=(0, 1))], [(0, 0, 0), (3, 3, 3)])
+    # A quad that is not flat keeps its corners, so that nothing opens between it and its neighbors.
+    bent = np.array([(0, 0, 0), (4, 0, 1), (4, 4, 0), (0, 4, 1)], float)
+    np.testing.assert_array_equal(np.unique(triangulated(bent[None]).reshape(-1, 3), axis=0), np.unique(bent, axis=0))
+
+
+ROOM = box((0.5, 0.5, 0.5), (3.5, 2.5, 2.5))
+QUADS = [[(0.5, y, 0.5), (3.5, y, 0.5), (3.5, y, 2.5), (0.5, y, 2.5)] for y in (0.5, 2.5)]
+MIXED = [*ROOM[:4].tolist(), *QUADS, *ROOM[8:].tolist(), [(0, 0, 0), (1, 1, 1)]]  # and a line, which is no face
+AROUND = {"bounds": ((0, 0, 0), (4, 3, 3))}
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"kinds": ("int", "uint")},
+        {"kinds": ("ushort", "ushort")},
+        {"before": ["property float quality"], "after": ["property short part", "property int16 other"]},
+        {"before": ["property list uchar float texcoord"]},
+    ],
+    ids=range(5),
+)
+def test_ply_of_triangles_and_quads_is_read(order, options, tmp_path):
+    # Quads take the place of two of the six sides; the room is 2 x 1 x 1 voxels inside a shell.
+    data = ply_of(MIXED, order, **options)
+    free = read(tmp_path, data, "room.ply", **AROUND)
+    assert free.sum() == 2 and free[1:3, 1, 1].all()
+    np.testing.assert_array_equal(read(tmp_path, data + b"\n", "room.ply", **AROUND), free)
+    with pytest.raises(ValueError, match=r"room\.ply: expected a mesh"):
+        read(tmp_path, data[:-7], "room.ply", **AROUND)
+
+
+def test_rows_of_ply_may_be_in_any_order_and_none_at_all(tmp_path):
+    data = ply_of(MIXED, "ascii")
+    header, body = data.split(b"end_header\n")
+    vertices = b"element vertex %d\n" % sum(map(len, MIXED))
+    head, properties = header.split(vertices)
+    faces_at = properties.index(b"element face")
+    lines = body.splitlines(keepends=True)
+    count = sum(map(len, MIXED))
+    swapped = head + properties[faces_at:] + vertices + properties[:faces_at] + b"element edge 0\nproperty int a\n"
+    swapped += b"end_header\n" + b"".join(lines[count:]) + b"\n" + b"".join(lines[:count])
+    np.testing.assert_array_equal(read(tmp_path, swapped, "a.ply", **AROUND), read(tmp_path, data, "b.ply", **AROUND))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ((b"format ascii", b"format binary_middle_endian"), "expected a mesh"),
+        ((b"element face 11", b"element face -1"), "no such element: 'face' with -1 rows"),
+        ((b"element face 11", b"element face 99"), "expected a mesh"),
+        ((b"vertex_index", b"corners"), "expected a mesh of faces"),
+        ((b"\n3 0 1 2", b"\n3 0 1 99"), "expected a mesh"),
+        ((b"\n3 0 1 2", b"\n3 0 1 -2"), "the index of a corner is no whole number"),
+        ((b"\n3 0 1 2", b"\n3 0 1 2.5"), "the index of a corner is no whole number"),
+        ((b"\n3 0 1 2", b"\n-3 0 1 2"), "a list of -3.0 entries"),
+        ((b"\n3 0 1 2", b"\n3.7 0 1 2"), "a list of 3.7 entries"),
+        ((b"\n3 0 1 2", b"\n3 0 1 x"), "expected a mesh"),
+        ((b"property double x", b"property double u"), "expected a mesh"),
+    ],
+    ids=range(11),
+)
+def test_what_is_no_ply_is_refused(change, message, tmp_path):
+    data = ply_of(MIXED, "ascii")
+    assert change[0] in data
+    with pytest.raises(ValueError, match=rf"room\.ply: .*{message}"):
+        read(tmp_path, data.replace(*change), "room.ply", **AROUND)
+
+
+def test_indices_of_obj_count_from_one_or_back_from_the_last_corner_so_far(tmp_path):
+    lines = [b"o room # a comment", b"vn 0 0 1", b"vt 0 0"]
+    for polygon in MIXED:
+        lines += [b"v %r %r %r 1.0" % tuple(corner) for corner in polygon]
+        lines.append(b"f " + b" ".join(b"%d//1" % -i for i in range(len(polygon), 0, -1)) + b" # a face")
+    lines.append(b"f 1/1/1 \\\n 2/1/1 3/1/1\nl 1 2\np 1")
+    free = read(tmp_path, b"\r\n".join(lines), "room.obj", **AROUND)
+    np.testing.assert_array_equal(free, read(tmp_path, obj_of(MIXED), "b.obj", **AROUND))
+    assert free.sum() == 2
+    for wrong in (b"f 1 2 0", b"f 1 2 99", b"f 1 2 -99", b"f 1 2 x", b"f 1 2 3.5"):
+        with pytest.raises(ValueError, match=r"c\.obj: expected a mesh"):
+            read(tmp_path, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + wrong, "c.obj")
+
+
+def test_stl_is_binary_or_text_whatever_its_header_says_and_may_have_more_bytes(tmp_path):
+    binary, text = stl_files()
+    expected = read(tmp_path, binary, "a.stl", pitch=0.25)
+    assert expected.shape == (13, 4, 6)
+    variants = [b"solid room".ljust(80) + binary[80:], binary + b"\0", binary + bytes(49), text, text.upper()]
+    variants += [text.replace(b"\n", b"\r\n  "), text + text.replace(b"room", b"other"), text.replace(b"room", b"")]
+    for data in variants:
+        np.testing.assert_array_equal(read(tmp_path, data, "b.stl", pitch=0.25), expected)
+
+
+@pytest.mark.parametrize("promised", [0, 9, 11, 2**32 - 1])
+def test_binary_stl_with_a_wrong_count_is_refused(promised, tmp_path):
+    binary = stl_files()[0]
+    data = binary[:80] + struct.pack("<I", promised) + binary[84:]
+    with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, and it has the bytes of 10"):
+        read(tmp_path, data, "a.stl", pitch=0.25)
+
+
+def test_stl_that_is_cut_short_is_refused(tmp_path):
+    binary, text = stl_files()
+    for data in (binary[:-1], binary[:-50], binary[:84], binary[:40], text[:-20], text.replace(b"vertex", b"", 1)):
+        with pytest.raises(ValueError, match=r"a\.stl: expected a mesh"):
+            read(tmp_path, data, "a.stl", pitch=0.25)

@@ -1,8 +1,10 @@
 """Maps of map_server as cost maps."""
 
+import struct
+
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from plr_jax import RasterCost, scenes
 
@@ -87,3 +89,99 @@ def test_what_is_no_cost_map_is_refused_by_name(yaml, message, tmp_path):
     path = written(tmp_path, yaml)
     with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
         scenes.read_cost_map(path)
+
+
+# --- TIFF of factors -----------------------------------------------------------------------------------
+
+FACTORS = np.array([[1, 2.5, 3], [4, np.inf, 0.5]], np.float32)  # the first row is the highest
+
+
+def tiff(folder, factors=FACTORS, **tags):
+    info = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in tags.items():
+        number = TAGS[tag]
+        info.tagtype[number] = {"nodata": 2, "keys": 3}.get(tag, 12)
+        info[number] = value
+    Image.fromarray(factors).save(folder / "a.tif", tiffinfo=info)
+    return folder / "a.tif"
+
+
+TAGS = {"scale": 33550, "tie": 33922, "transformation": 34264, "keys": 34735, "nodata": 42113}
+PIXEL_IS_POINT = (1, 1, 0, 2, 1024, 0, 1, 1, 1025, 0, 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("tags", "lo", "hi"),
+    [
+        ({}, (0, 0), (3, 2)),
+        ({"scale": (0.5, 0.5, 0.0)}, (0, 0), (1.5, 1)),
+        ({"scale": (0.5, 0.25, 0.0), "tie": (0.0, 0.0, 0.0, 1e5, 5e6, 0.0)}, (1e5, 5e6 - 0.5), (1e5 + 1.5, 5e6)),
+        ({"scale": (2.0, 2.0, 0.0), "tie": (1.0, 1.0, 0.0, 10.0, 20.0, 0.0)}, (8, 18), (14, 22)),
+        (
+            {"scale": (2.0, 2.0, 0.0), "tie": (0.0, 0.0, 0.0, 10.0, 20.0, 0.0), "keys": PIXEL_IS_POINT},
+            (9, 17),
+            (15, 21),
+        ),
+        (
+            {"scale": (2.0, 2.0, 0.0), "tie": (0.0, 0.0, 0.0, 10.0, 20.0, 0.0), "keys": (1, 1, 0, 1, 1025, 0, 1, 1)},
+            (10, 16),
+            (16, 20),
+        ),
+    ],
+    ids=range(6),
+)
+def test_a_tiff_of_floats_has_factors_where_its_tags_say(tags, lo, hi, tmp_path):
+    cost = scenes.read_cost_map(tiff(tmp_path, **tags), interpolation="nearest")
+    np.testing.assert_array_equal(cost.values, FACTORS[::-1])
+    np.testing.assert_array_equal([cost.domain.lo, cost.domain.hi], [lo, hi])
+    width = np.subtract(hi, lo)
+    centers = np.array([(0.5, 0.75), (5 / 6, 0.75), (1 / 6, 0.25), (5 / 6, 0.25)])  # as shares of the width
+    np.testing.assert_array_equal(cost(lo + centers * width), [2.5, 3, 4, 0.5])
+    assert cost.interpolation == "nearest"
+
+
+@pytest.mark.parametrize("missing", ["-9999", "nan", "0 ", "-3.4028234663852886e+38", "1e300"])
+def test_what_a_tiff_says_is_missing_is_blocked(missing, tmp_path):
+    with np.errstate(over="ignore"):
+        factors = np.where(np.isinf(FACTORS), np.float32(missing), FACTORS)
+    cost = scenes.read_cost_map(tiff(tmp_path, factors, nodata=missing))
+    np.testing.assert_array_equal(cost.values, FACTORS[::-1])
+    np.testing.assert_array_equal(cost.inflated(1.0, inflation_radius=1).free, [[0, 0, 0], [1, 0, 1]])
+
+
+def test_floats_of_64_bits_are_refused(tmp_path):
+    data = FACTORS.astype("<f8").tobytes()
+    entries = {256: 3, 257: 2, 258: 64, 259: 1, 262: 1, 273: 8, 277: 1, 278: 2, 279: len(data), 339: 3}
+    tags = b"".join(struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in entries.items())
+    header = struct.pack("<2sHI", b"II", 42, 8 + len(data))
+    (tmp_path / "a.tif").write_bytes(header + data + struct.pack("<H", len(entries)) + tags + bytes(4))
+    with pytest.raises(ValueError, match=r"a\.tif: expected a TIFF of 32-bit floats, got something else"):
+        scenes.read_cost_map(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(
+    ("factors", "tags", "message"),
+    [
+        (GRAY, {}, "expected a TIFF of 32-bit floats, got a picture of mode L"),
+        (np.ones((2, 2), np.int32), {}, "expected black, gray or color in 8 or 16 bits"),
+        (np.zeros((2, 3), np.float32), {}, r"values must be from 1e-30 to 1e\+30"),
+        (-FACTORS, {}, "got -"),
+        (FACTORS, {"transformation": tuple(range(16))}, "with a transformation: turn the picture"),
+        (FACTORS, {"scale": (1.0, 1.0)}, r"3 finite numbers in the tag 33550, got \(1.0, 1.0\)"),
+        (FACTORS, {"scale": (0.0, 1.0, 1.0)}, "a pixel's side must be"),
+        (FACTORS, {"tie": (0.0,) * 12}, "6 finite numbers in the tag 33922"),
+        (FACTORS, {"scale": (1e-9, 1e-9, 0.0), "tie": (0.0, 0.0, 0.0, 1e6, 1e6, 0.0)}, "resolution must be at least"),
+        (np.full((2, 2), 7, np.float32), {"nodata": "7"}, "leave a cell that is not blocked"),
+        (FACTORS, {"nodata": "none"}, "could not convert string to float: 'none'"),
+    ],
+    ids=range(11),
+)
+def test_what_is_no_tiff_of_factors_is_refused_by_name(factors, tags, message, tmp_path):
+    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.tif: .*{message}"):
+        scenes.read_cost_map(tiff(tmp_path, factors, **tags))
+
+
+def test_options_of_map_server_are_not_for_a_tiff(tmp_path):
+    for options in ({"unknown_is_free": True}, {"cost_travel_multiplier": 1.0}):
+        with pytest.raises(ValueError, match="unknown_is_free are not for a TIFF"):
+            scenes.read_cost_map(tiff(tmp_path), **options)

@@ -278,8 +278,58 @@ def test_inflation_falls_as_the_layer_of_nav2_has_it():
     distance = 0.1 * np.hypot(rows - 20, columns - 20)
     np.testing.assert_array_equal(cost.free, distance > 0.25)
     expected = np.where(distance <= 1.0, 1 + 4 * np.exp(-3 * (distance - 0.25)), 1.0)
-    on_rim = np.abs(distance - 1.0) < 1e-9
-    np.testing.assert_allclose(cost.values[cost.free & ~on_rim], expected[cost.free & ~on_rim])
+    np.testing.assert_allclose(cost.values[cost.free], expected[cost.free])
+
+
+def nav2_inflated(costs, resolution, inscribed_radius, inflation_radius, scaling):
+    """The twin: bytes as Nav2's inflation layer raises them, for every cell and lethal cell one by one."""
+    raised, lethal = costs.astype(float), np.argwhere(costs == 254)
+    for cell in np.ndindex(costs.shape):
+        cells = min((np.hypot(*(at - np.array(cell))) for at in lethal), default=np.inf)
+        if 0 < cells <= np.ceil(inflation_radius / resolution):
+            inside = cells * resolution <= inscribed_radius
+            cost = 253 if inside else 252 * np.exp(-scaling * (cells * resolution - inscribed_radius))
+            raised[cell] = 253 if inside and costs[cell] == 255 else max(costs[cell], cost)
+    return raised
+
+
+@pytest.mark.parametrize("unknown_is_free", [False, True])
+def test_costs_rise_around_lethal_cells_alone_as_in_nav2(unknown_is_free):
+    rng = np.random.default_rng(0)
+    costs = rng.choice([0, 40, 252, 253, 254, 255], (17, 23), p=[0.6, 0.1, 0.05, 0.1, 0.05, 0.1])
+    bounds, radii = ((-1.0, 2.0), (-1 + 23 / 4, 2 + 17 / 4)), (0.3, 0.6)  # 0.6 is 2.4 cells: 3 in Nav2
+    options = {"unknown_is_free": unknown_is_free, "interpolation": "nearest"}
+    cost = RasterCost.from_costmap(costs, bounds, **options).inflated(
+        radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0
+    )
+    expected = RasterCost.from_costmap(nav2_inflated(costs, 0.25, *radii, 2.0), bounds, **options)
+    np.testing.assert_allclose(cost.values, expected.values)
+    assert cost.interpolation == "nearest" and 0 < cost.free.sum() < (costs < 253).sum()
+    again = cost.inflated(radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0)
+    np.testing.assert_array_equal(again.values, cost.values)  # what the first call blocked is not lethal
+
+
+def test_around_unknown_and_inscribed_cells_costs_stay():
+    strip = ((0, 0), (1.2, 0.1))
+    grid = RasterCost.from_occupancy_grid([[0] * 9 + [-1] * 3], strip).inflated(0.22)
+    np.testing.assert_array_equal(grid.values, [[1.0] * 9 + [np.inf] * 3])
+    costs = RasterCost.from_costmap([[253] * 2 + [0] * 8 + [255] * 2], strip).inflated(0.22)
+    np.testing.assert_array_equal(costs.values, [[np.inf] * 2 + [1.0] * 8 + [np.inf] * 2])
+    corridor = RasterCost.from_occupancy_grid([[-1] * 9] * 2 + [[0] * 9] * 2 + [[-1] * 9] * 2, ((0, 0), (0.9, 0.6)))
+    np.testing.assert_array_equal(corridor.inflated(0.22).values[2:4], 1.0)
+
+
+def test_the_inflation_radius_is_whole_cells_and_the_inscribed_radius_is_not():
+    """At resolution 0.1, 0.55 are 6 cells, 0.3 exactly 3, whatever the rounding of the bounds."""
+    for lo in (0.0, 0.1, 1 / 3, 100.7, 5e5):
+        values = np.ones((1, 12))
+        values[0, 0] = np.inf
+        plain = RasterCost(values, ((lo, 0), (lo + 1.2, 0.1)))
+        for radius, cells in ((0.55, 6), (0.3, 3), (0.31, 4), (0.05, 1)):
+            cost = plain.inflated(0.0, inflation_radius=radius, cost_scaling_factor=0.1)
+            np.testing.assert_array_equal(cost.values[0, 1:] > 1, np.arange(1, 12) <= cells)
+        for radius, cells in ((0.3, 3), (0.29, 2), (0.35, 3)):
+            np.testing.assert_array_equal(plain.inflated(radius).free[0], np.arange(12) > cells)
 
 
 def test_inflation_raises_costs_and_lowers_none():
