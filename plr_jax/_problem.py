@@ -225,9 +225,10 @@ def _require_connected(problem: Problem) -> None:
             graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
             labels[radius] = parts, connected_components(graph)[1]
         parts, label = labels[radius]
-        ends = (shapely.Point(q[i, :2]) for q in (problem.starts, problem.goals))
-        first, last = (label[np.argmin(shapely.distance(end, parts))] for end in ends)
-        if first != last:
+        # Where obstacles touch, an end lies in several parts.
+        apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
+        first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
+        if not np.isin(first, last).any():
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
             raise ValueError(
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "

@@ -332,7 +332,7 @@ def _changes_of_side(
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
     radius = np.linalg.norm(boundary.vertices[ends] - boundary.vertices[vertex], axis=1).min() / 2
     tolerance = min(tolerance, radius / 4)
-    if distance_to_segment(*way[motion], *(way[motion + 1] - way[motion])) > tolerance:
+    if distance_to_segment(*way[:-1].T, *np.diff(way, axis=0).T)[motion] > tolerance:
         return []
     outside = np.flatnonzero(np.linalg.norm(way, axis=1) > radius)
     first = int(outside[outside <= motion].max(initial=0))

@@ -71,9 +71,11 @@ def _with_shortcuts(
 
     ``TimeoutError`` past the deadline of the test.
     """
-    # 1. Shortcuts that save something and hit no wall. One at a contact of walls may lead to the other side.
+    # 1. Shortcuts that save something and hit no wall. From or to a contact of walls, but for the ends of the path, one
+    # may lead to the other side.
     q, own = traffic.path[:, i], end == begin + 1
     at_contact = test.of_walls[i].is_at_contact(q)
+    at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
     useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
