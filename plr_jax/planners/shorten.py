@@ -71,8 +71,8 @@ def _with_shortcuts(
 
     ``TimeoutError`` past the deadline of the test.
     """
-    # 1. Shortcuts that save something and hit no wall. From or to a contact of walls, but for the ends of the path, one
-    # may lead to the other side.
+    # 1. Shortcuts that save something and hit no wall. One from or to a contact of walls may lead to the other side,
+    # except at the ends of the path.
     q, own = traffic.path[:, i], end == begin + 1
     at_contact = test.of_walls[i].is_at_contact(q)
     at_contact[[0, -1]] = False
