@@ -147,8 +147,18 @@ def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
     return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 
 
+def require_problem(problem: object, path: object = None) -> None:
+    """``ValueError`` unless it is a problem, and a path beside it not what has the path."""
+    if not isinstance(problem, Problem):
+        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
+        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    if hasattr(path, "path"):
+        raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}: give its .path.")
+
+
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
     """A path of a problem, of at least one step, as a float64 array; ``ValueError`` if it has another shape."""
+    require_problem(problem, path)
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:

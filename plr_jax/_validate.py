@@ -18,7 +18,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._problem import Problem, as_path, path_cost, separation
+from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.vectors import distance_to_segment
@@ -67,7 +67,11 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
     Returns:
         The report. A path that is wrong in any way is reported, not raised.
+
+    Raises:
+        ValueError: If it is no problem, or a Solution is given in the place of its path.
     """
+    require_problem(problem, path)
     try:
         path = as_path(problem, path)
     except ValueError as error:

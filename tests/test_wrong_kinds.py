@@ -11,13 +11,19 @@ from plr_jax import (
     PointRobot,
     Problem,
     Roadmap,
+    Solution,
     VisibilityGraph,
     Workspace,
+    bl_plan,
     construct,
     from_bytes,
+    load,
+    load_numpy,
+    path_cost,
     plot,
     save,
     scenes,
+    validate,
 )
 from plr_jax.planners import lifelong, replan
 from plr_jax.plr import PLR, NumpyPLR
@@ -27,6 +33,8 @@ UNIT = Box((0, 0), (1, 1))
 VOXELS = np.ones((2, 2, 2), bool)
 ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
 TASK = Problem(ROOM, [PointRobot()], *ENDS)
+
+LINE = np.array(ENDS)
 
 
 def cone(x):
@@ -56,6 +64,18 @@ def built(**options):
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
+        (lambda: save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
+        (lambda: save(built(), None), "path must be the name of a file, a str or a Path, got None"),
+        (lambda: load(3), "path must be the name of a file, a str or a Path, got 3"),
+        (lambda: load(True), "path must be the name of a file, a str or a Path, got True"),
+        (lambda: load(built().to_bytes()), r"got \d+ bytes. What a PLR's file holds is read by from_bytes"),
+        (lambda: load_numpy(memoryview(b"abc")), "got 3 bytes. What a PLR's file holds"),
+        (lambda: Solution.load(3), "path must be the name of a file, a str or a Path, got 3"),
+        (lambda: plot.animate(TASK, LINE).save(1), "path must be the name of a file, a str or a Path, got 1"),
+        (lambda: validate(TASK, bl_plan(TASK)), r"A path must be an array .*, got Solution\(.*: give its .path"),
+        (lambda: path_cost(TASK, bl_plan(TASK)), r"got Solution\(.*: give its .path"),
+        (lambda: validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
+        (lambda: construct(lambda x: None, UNIT), r"must be real numbers of shape \(192,\), got None"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; of a file's name use load_numpy"),
         (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, of a PLR plr.numpy\(\)"),
