@@ -22,8 +22,8 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
   tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`,
   `LipschitzCost`, or your own `DirectionalCost`.
 
-**Which axis of an array is which.** Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals, and
-the agents of `GridPairs.window`.
+**Which axis of an array is which.** Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals,
+and the agents of `GridPairs.window`.
 
 - Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest: `Workspace.from_mask`, `GridGraph`,
   `construct_grid_pairs`, `grid_distance`, and what `GridPairs.window` returns.
