@@ -346,7 +346,7 @@ def _changes_of_side(
     )
     at_contact = np.linalg.norm(stay, axis=1) <= tolerance
     may_be = [boundary.in_sector(sector, stay, tolerance) | at_contact for sector in sectors]
-    came_from = np.logical_and.accumulate(may_be, axis=1).any(axis=0)
+    came_from: Any = np.logical_and.accumulate(may_be, axis=1).any(axis=0)
     return (first + np.flatnonzero(~came_from[1:])).tolist()
 
 

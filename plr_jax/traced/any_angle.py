@@ -349,9 +349,10 @@ def _shortest(legs: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]
 
 @_shortest.defjvp
 def _(primals, tangents):
-    legs, total = primals[0], sum(primals)
+    legs, onward = primals
+    total, change = legs + onward, tangents[0] + tangents[1]
     least = jnp.min(total, axis=-1)
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
     one = jnp.argmax(jnp.where(is_least, jnp.where(legs > 0, 2, 1), 0), axis=-1)
     is_one = jnp.arange(total.shape[-1]) == one[..., None]
-    return least, jnp.sum(jnp.where(is_one, sum(tangents), 0), axis=-1)
+    return least, jnp.sum(jnp.where(is_one, change, 0), axis=-1)
