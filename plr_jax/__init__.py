@@ -22,6 +22,18 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
   tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`,
   `LipschitzCost`, or your own `DirectionalCost`.
 
+**Which axis of an array is which.** Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals,
+and the agents of `GridPairs.window`.
+
+- Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest: `Workspace.from_mask`, `GridGraph`,
+  `construct_grid_pairs`, `grid_distance`, and what `GridPairs.window` returns.
+- Rasters of numbers are `values[row, column]` likewise, in space `values[z, y, x]`, the last axis along `x`:
+  `GridField`, `RasterCost`.
+- Voxels are `free[x, y, z]`, the first axis along `x`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`.
+
+The first row of a picture is its top: use `Workspace.from_mask(free, row0="top")`, and `values[::-1]`. The transpose
+`.T` turns a raster into voxels and back.
+
 # Store: the answer in kilobytes
 
 ```python

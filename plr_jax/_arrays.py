@@ -58,7 +58,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     """
     try:
         numbers = np.asarray(value)
-        if numbers.dtype.kind in "cUSMm":  # NumPy would drop imaginary parts, and read texts and dates as numbers
+        if value is None or numbers.dtype.kind in "cUSMm":  # NumPy reads texts and dates, and drops imaginary parts
             raise TypeError
         numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -100,7 +100,8 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """
     values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
-        raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}.")
+        called = f"it is called with points ({n}, dim) at once"
+        raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}; {called}.")
     return values
 
 

@@ -26,6 +26,16 @@ _LONGEST_WORD = 1000  # unquoted characters of YAML: what they mean may take the
 _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
+def file_path(path: object) -> Path:
+    """The name of a file as a path; ``ValueError`` if it is none, such as a file descriptor or what a file holds."""
+    if not isinstance(path, str | os.PathLike):
+        got = f"{shortened(path)}."
+        if isinstance(path, bytes | bytearray | memoryview):
+            got = f"{len(path):,} bytes. What a PLR's file holds is read by from_bytes."
+        raise ValueError(f"path must be the name of a file, a str or a Path, got {got}")
+    return Path(os.fsdecode(path))
+
+
 @contextmanager
 def errors_named(path: Path) -> Iterator[None]:
     """Let every ``ValueError`` about what a file holds begin with the file's name."""

@@ -1,11 +1,10 @@
 """PLRs, pairs and grids saved to files and loaded from them: a file says what it holds."""
 
 import os
-from pathlib import Path
 from typing import Any
 
 from plr_jax._arrays import shortened
-from plr_jax._files import write_atomically
+from plr_jax._files import file_path, write_atomically
 from plr_jax.pairs.grid_pairs import GridPairs
 from plr_jax.pairs.pair_plr import PairPLR, pairs_from_bytes
 from plr_jax.plr._plr import PLR, from_bytes
@@ -23,12 +22,12 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
         path: The file.
 
     Raises:
-        ValueError: If it is none of these.
+        ValueError: If it is none of these, or the path no name of a file.
         OSError: If the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
-    write_atomically(Path(path), plr.to_bytes())
+    write_atomically(file_path(path), plr.to_bytes())
 
 
 def load(path: str | os.PathLike) -> Any:
@@ -44,9 +43,11 @@ def load(path: str | os.PathLike) -> Any:
         A PLR, a PairPLR or GridPairs.
 
     Raises:
-        ValueError: If the file is truncated, corrupt, none of these, or of another version of the format.
+        ValueError: If the file is truncated, corrupt, none of these, or of another version of the format, or if the
+            path is no name of a file.
         OSError: If the file cannot be read.
     """
+    path = file_path(path)
     try:
         data = read_bytes(path)
         if data.startswith(GRID_MAGIC):

@@ -147,8 +147,18 @@ def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
     return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 
 
+def require_problem(problem: object, path: object = None) -> None:
+    """``ValueError`` unless it is a problem, and a path beside it not what has the path."""
+    if not isinstance(problem, Problem):
+        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
+        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    if hasattr(path, "path"):
+        raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}: give its .path.")
+
+
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
     """A path of a problem, of at least one step, as a float64 array; ``ValueError`` if it has another shape."""
+    require_problem(problem, path)
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
@@ -225,9 +235,10 @@ def _require_connected(problem: Problem) -> None:
             graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
             labels[radius] = parts, connected_components(graph)[1]
         parts, label = labels[radius]
-        ends = (shapely.Point(q[i, :2]) for q in (problem.starts, problem.goals))
-        first, last = (label[np.argmin(shapely.distance(end, parts))] for end in ends)
-        if first != last:
+        # Where obstacles touch, an end lies in several parts.
+        apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
+        first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
+        if not np.isin(first, last).any():
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
             raise ValueError(
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "

@@ -1,7 +1,7 @@
 """An independent check of a path. It shares no code with the collision tests that planners call.
 
-There are two exceptions. Whether a point squeezes between obstacles that touch, the workspace is asked; and which way
-a robot turns is no finding but part of what a path means, so that all have it from one function.
+There are two exceptions. Where obstacles touch, and which sides that leaves to free space, the workspace says; and
+which way a robot turns is no finding but part of what a path means, so that all have it from one function.
 
 Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
 Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
@@ -18,8 +18,10 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._problem import Problem, as_path, path_cost, separation
+from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, shorter_turn
 
@@ -65,7 +67,11 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
     Returns:
         The report. A path that is wrong in any way is reported, not raised.
+
+    Raises:
+        ValueError: If it is no problem, or a Solution is given in the place of its path.
     """
+    require_problem(problem, path)
     try:
         path = as_path(problem, path)
     except ValueError as error:
@@ -134,7 +140,7 @@ class _Encounter:
         corners = np.concatenate([start, start + shift[:, None]], axis=1)
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
-        if self.reach == 0:
+        if self.reach <= self.tolerance:
             # Met, a body is touched or entered: entered if so is what is left of it, peeled. A point is not peeled.
             met = np.flatnonzero(distance == 0)
             met_hulls, met_others = hulls[met], others[met]
@@ -216,8 +222,7 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     Points never meet points.
     """
     workspace, robots = problem.workspace, problem.robots
-    # Far from the origin, what the workspace calls touching is the coarser of the two.
-    tolerance = max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
+    tolerance = _tolerance(workspace)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
     # Everything that is not free, out to beyond the path.
@@ -235,6 +240,11 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
         encounters[j, i] = _Encounter((i, j), robots[i], path[:, i], robots[j], path[:, j], tolerance)
         smallest = min(smallest, encounters[j, i].findings.clearance)
     return [encounters[who] for who in sorted(encounters)]
+
+
+def _tolerance(workspace: Workspace) -> float:
+    """Far from the origin, what the workspace calls touching is the coarser of the two."""
+    return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
 def _least_clearances(
@@ -296,14 +306,57 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
     """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
     workspace, squeezes = problem.workspace, []
+    boundary = workspace.boundary
+    if workspace.squeeze or not len(boundary.contacts):
+        return None
+    contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
+    tree, tolerance = shapely.STRtree(contacts), _tolerance(workspace)
     for i, robot in enumerate(problem.robots):
-        if robot.circumscribed_radius == 0 and not workspace.squeeze and len(workspace.boundary.contacts):
-            hidden = np.flatnonzero(~workspace.is_visible(path[:-1, i, :2], path[1:, i, :2]))
-            squeezes += [(int(motion), i) for motion in hidden[:1]]
+        if robot.circumscribed_radius <= tolerance:
+            way = path[:, i, :2]
+            motions: Any = shapely.linestrings(np.stack([way[:-1], way[1:]], axis=1))
+            met = tree.query(motions, predicate="dwithin", distance=tolerance)
+            for motion, vertex in zip(met[0].tolist(), boundary.contacts[met[1]].tolist(), strict=True):
+                squeezes += [(k, i) for k in _changes_of_side(boundary, vertex, way, motion, tolerance)[:1]]
     if not squeezes:
         return None
     motion, i = min(squeezes)
     return i, float(motion), f"Robot {i} squeezes between obstacles that touch in a point after step {motion}."
+
+
+def _changes_of_side(
+    boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
+) -> list[int]:
+    """The motions with which a point, which meets a contact in one of them, is on another side than it came from.
+
+    Sides are the sectors of free space at the contact. In a disc of half the length of its edges the contact alone
+    joins them, so that what counts is where the point enters the disc, is within it, and leaves it.
+    """
+    sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
+    ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
+    radius = np.linalg.norm(boundary.vertices[ends] - boundary.vertices[vertex], axis=1).min() / 2
+    tolerance = min(tolerance, radius / 4)
+    if distance_to_segment(*way[:-1].T, *np.diff(way, axis=0).T)[motion] > tolerance:
+        return []
+    outside = np.flatnonzero(np.linalg.norm(way, axis=1) > radius)
+    first = int(outside[outside <= motion].max(initial=0))
+    last = int(outside[outside > motion].min(initial=len(way) - 1))
+    stay = np.array(
+        [_entry(way[first], way[first + 1], radius), *way[first + 1 : last], _entry(way[last], way[last - 1], radius)]
+    )
+    at_contact = np.linalg.norm(stay, axis=1) <= tolerance
+    may_be = [boundary.in_sector(sector, stay, tolerance) | at_contact for sector in sectors]
+    came_from: Any = np.logical_and.accumulate(may_be, axis=1).any(axis=0)
+    return (first + np.flatnonzero(~came_from[1:])).tolist()
+
+
+def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
+    """Where a motion enters a disc about the origin, or begins if that is within."""
+    if begin @ begin <= radius**2:
+        return begin
+    change = end - begin
+    along, squared = begin @ change, change @ change
+    return begin - (along + np.sqrt(along**2 - squared * (begin @ begin - radius**2))) / squared * change
 
 
 def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:

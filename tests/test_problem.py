@@ -96,6 +96,8 @@ def test_whether_a_point_contact_cuts_off_is_the_workspaces_choice():
     Problem(Workspace(((0, 0), (2, 2)), corners, squeeze=True), POINT, [(0.5, 1.5)], [(1.5, 0.5)])
     with pytest.raises(ValueError, match="cut off"):
         Problem(Workspace(((0, 0), (2, 2)), corners), POINT, [(0.5, 1.5)], [(1.5, 0.5)])
+    for side in ((0.5, 1.5), (1.5, 0.5)):  # the contact itself is of both
+        Problem(Workspace(((0, 0), (2, 2)), corners), POINT * 2, [side, (1, 1)], [(1, 1), side])
 
 
 def test_a_team_with_a_rectangle_has_headings_those_of_discs_ignored():

@@ -111,13 +111,53 @@ def test_a_small_point_obstacle_between_rows_is_not_missed():
         assert not report([robot], [(1, 2, 0)[:dof]], [(3, 2, turn)[:dof]], workspace=thin).valid
 
 
-def test_a_point_may_not_squeeze_where_the_workspace_forbids_it():
-    corners = [box(0, 0, 1, 1), box(1, 1, 2, 2), box(0, 3, 2, 4), box(2, 2, 3, 3)]
-    through = [[(0.5, 2.5)], [(0.5, 1.5)], [(1.5, 0.5)], [(0.5, 1.5)], [(0.5, 2.5)]]
-    assert report([POINT], *through, workspace=Workspace(((0, 0), (4, 4)), corners, squeeze=True)).valid
-    result = report([POINT], *through, workspace=Workspace(((0, 0), (4, 4)), corners))
-    assert (result.valid, result.who, result.when) == (False, (0,), 1.0)
-    assert "Robot 0 squeezes" in result.message
+CONTACT = Workspace(((-1, -1), (3, 3)), [box(0, 0, 1, 1), box(1, 1, 2, 2)])  # they touch at (1, 1)
+ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the contact, and on it
+
+
+@pytest.mark.parametrize(
+    ("rows", "when"),
+    [
+        ([ABOVE, BELOW], 0),
+        ([ABOVE, AT, BELOW], 1),
+        ([ABOVE, AT, AT, BELOW], 2),
+        ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
+        ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
+        ([AT, ABOVE, AT, BELOW], 2),
+        ([(0, 1), AT, (2, 1)], 1),
+        ([(1, 2), AT, (1, 0)], 1),
+        ([ABOVE, AT, (0.2, 1.8)], None),
+        ([(0, 1), AT, (1, 2)], None),
+        ([AT, ABOVE, AT, (0.2, 1.8)], None),
+        ([AT, BELOW], None),
+        ([ABOVE, AT], None),
+        ([AT, AT], None),
+        ([AT], None),
+    ],
+)
+@pytest.mark.parametrize("robot", [POINT, DiscRobot(1e-10)], ids=["point", "tiny"])
+def test_what_leaves_a_contact_on_another_side_than_it_came_from_squeezes(robot, rows, when):
+    rows = [[row] for row in rows]
+    result = report([robot], *rows, workspace=CONTACT)
+    assert (result.valid, result.when) == (when is None, when), result.message
+    assert result.valid or result.message.startswith("Robot 0 squeezes")
+    assert report([robot], *rows, workspace=Workspace(CONTACT.bounds, CONTACT.obstacles, squeeze=True)).valid
+
+
+def test_a_contact_of_three_obstacles_has_three_sides():
+    star = [[(2, 2), (2 + c, 2 + s), (2 + d, 2 + t)] for c, s, d, t in
+            ((1, -0.3, 1, 0.3), (-0.8, 0.8, -0.3, 1), (-0.8, -0.8, -0.3, -1))]  # fmt: skip
+    sides = [(2.4, 2.8), (1.2, 2), (2.4, 1.2)]
+    for i, one in enumerate(sides):
+        for j, other in enumerate(sides):
+            result = report([POINT], [one], [(2, 2)], [other], workspace=Workspace(ROOM.bounds, star))
+            assert result.valid == (i == j), (one, other, result.message)
+
+
+@pytest.mark.parametrize("radius", [1e-12, 1e-9, 1e-8, 1e-7, 1e-3])
+def test_a_disc_however_small_is_stopped_by_a_wall(radius):
+    assert not report([DiscRobot(radius)], [(1, 2)], [(2, 2)], [(3, 2)]).valid
+    assert not MotionTest(ROOM, DiscRobot(radius))(np.array([(1.0, 2.0)]), np.array([(3.0, 2.0)])).any()
 
 
 def test_leaving_the_bounds_is_told():

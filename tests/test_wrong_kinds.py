@@ -7,17 +7,29 @@ from plr_jax import (
     BLOptions,
     Box,
     BuildOptions,
+    GridField,
     GridGraph,
     PointRobot,
     Problem,
+    RasterCost,
     Roadmap,
+    Solution,
     VisibilityGraph,
+    VoxelGraph,
+    VoxelSpace,
     Workspace,
+    bl_plan,
     construct,
+    construct_grid_pairs,
     from_bytes,
+    grid_distance,
+    load,
+    load_numpy,
+    path_cost,
     plot,
     save,
     scenes,
+    validate,
 )
 from plr_jax.planners import lifelong, replan
 from plr_jax.plr import PLR, NumpyPLR
@@ -27,6 +39,8 @@ UNIT = Box((0, 0), (1, 1))
 VOXELS = np.ones((2, 2, 2), bool)
 ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
 TASK = Problem(ROOM, [PointRobot()], *ENDS)
+
+LINE = np.array(ENDS)
 
 
 def cone(x):
@@ -56,6 +70,18 @@ def built(**options):
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
+        (lambda: save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
+        (lambda: save(built(), None), "path must be the name of a file, a str or a Path, got None"),
+        (lambda: load(3), "path must be the name of a file, a str or a Path, got 3"),
+        (lambda: load(True), "path must be the name of a file, a str or a Path, got True"),
+        (lambda: load(built().to_bytes()), r"got \d+ bytes. What a PLR's file holds is read by from_bytes"),
+        (lambda: load_numpy(memoryview(b"abc")), "got 3 bytes. What a PLR's file holds"),
+        (lambda: Solution.load(3), "path must be the name of a file, a str or a Path, got 3"),
+        (lambda: plot.animate(TASK, LINE).save(1), "path must be the name of a file, a str or a Path, got 1"),
+        (lambda: validate(TASK, bl_plan(TASK)), r"A path must be an array .*, got Solution\(.*: give its .path"),
+        (lambda: path_cost(TASK, bl_plan(TASK)), r"got Solution\(.*: give its .path"),
+        (lambda: validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
+        (lambda: construct(lambda x: None, UNIT), r"must be real numbers of shape \(192,\), got None"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; of a file's name use load_numpy"),
         (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, of a PLR plr.numpy\(\)"),
@@ -71,6 +97,14 @@ def built(**options):
         (lambda: ROOM.sample_free(1.5, 0), "n must be an integer >= 0, got 1.5"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
         (lambda: scenes.perturbed(scenes.maze(), "a"), "seed must be an integer >= 0, got 'a'"),
+        (lambda: Workspace.from_mask(VOXELS[0, 0]), r"free\[row, column\], rows along y, must be booleans of shape"),
+        (lambda: GridField(VOXELS * 1.0, UNIT), r"grid of 2 axes.*, the last one along x, .*got shape \(2, 2, 2\)"),
+        (lambda: RasterCost(VOXELS * 1.0, UNIT), r"raster of 2 axes.*, the last one along x, .*shape \(2, 2, 2\)"),
+        (lambda: VoxelSpace(VOXELS * 1.0), r"free must be booleans of 1 to 4 axes, free\[x, y, ...\], .*got float64"),
+        (lambda: VoxelSpace(VOXELS, UNIT), r"The bounds must have 3 axes, as free\[x, y, ...\] has"),
+        (lambda: VoxelGraph(VOXELS[0], (1, 1)), r"booleans of 3 axes, free\[x, y, ...\], .*of shape \(2, 2\)"),
+        (lambda: grid_distance(VOXELS, (1, 1)), r"\(h, w\), rows along y, .*got bool of shape \(2, 2, 2\)"),
+        (lambda: construct_grid_pairs(VOXELS[0]).window([1, 1], [1, 1], 1), r"points \(x, y\), \(n, 2\) both"),
         (lambda: Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). What serves volumes: VoxelSpace"),
         (lambda: GridGraph(VOXELS, (1, 1)), r"got bool of shape \(2, 2, 2\). What serves volumes"),
         (lambda: VisibilityGraph(VOXELS, (1, 1, 1)), r"an array of shape \(2, 2, 2\). What serves volumes"),
@@ -107,3 +141,30 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
 def test_what_a_changed_map_needs_is_said():
     with pytest.raises(AttributeError, match=r"plr.updated\(oracle\) is one of a map that did"):
         _ = built().update
+
+
+@pytest.mark.full
+def test_axes_of_arrays_are_those_that_the_first_page_says():
+    """In a room of 5 x 3, a wall from (1, 0) to (2, 2) is between (0.5, 0.5) and (2.5, 0.5)."""
+    rows = np.ones((3, 5), bool)
+    rows[:2, 1] = False
+    ends = [(0.5, 0.5)], [(2.5, 0.5)]
+    for distance in (
+        VisibilityGraph(Workspace.from_mask(rows, tolerance=0), ends[1][0])(ends[0]),
+        VisibilityGraph(Workspace.from_mask(rows[::-1], row0="top", tolerance=0), ends[1][0])(ends[0]),
+    ):
+        np.testing.assert_allclose(distance, 1 + np.sqrt(10))
+    # Of steps from cell to cell six lead around the wall: two up, two along it, two down.
+    pairs = construct_grid_pairs(GridGraph(rows, connectivity=4))
+    np.testing.assert_array_equal(pairs(*ends), [6])
+    np.testing.assert_array_equal(grid_distance(rows, np.array(ends[1][0]), moves=4)(np.array(ends[0])), [6])
+    np.testing.assert_array_equal(pairs.window(ends[1], ends[0], 1)[0], [[-1, -1, -1], [-1, 6, -1], [-1, 5, -1]])
+    voxels = rows.T[..., None]
+    np.testing.assert_array_equal(VoxelGraph(voxels, (2.5, 0.5, 0.5), moves=6)([(0.5, 0.5, 0.5)]), [6])
+    np.testing.assert_array_equal(VoxelSpace(voxels).domain.hi, [5, 3, 1])
+    # A number for each cell: 10 y + x at its lower corner.
+    numbers = 1.0 + 10 * np.arange(3)[:, None] + np.arange(5)
+    for field in (GridField(numbers, ((0, 0), (5, 3))), RasterCost(numbers, ((0, 0), (5, 3)))):
+        np.testing.assert_allclose(field(np.array([(3.5, 0.5), (0.5, 2.5)])), [4, 21])
+    layers = np.stack([numbers, numbers + 100])
+    np.testing.assert_allclose(GridField(layers, ((0, 0, 0), (5, 3, 2)))([(3.5, 0.5, 1.5)]), 104)

@@ -11,7 +11,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from plr_jax._arrays import parts, require_time, run_members, runs
 from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, judge_boxes, judge_convex, moving
@@ -42,7 +43,10 @@ class MotionTest:
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         self.workspace, self.robot = workspace, robot
         # A grid of cells, row by row, about half as large as the robot.
+        # One no larger than the tolerance is a point: no wall is within its reach by more than that.
         width, size = workspace.bounds.width, robot.circumscribed_radius
+        self._is_point = size <= workspace.tolerance
+        size = 0.0 if self._is_point else size
         cell = size / 2 or width.max() / _POINT_CELLS
         self._cell = cell = float(np.clip(cell, width.max() / _CELLS[1], width.max() / _CELLS[0]))
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
@@ -89,6 +93,14 @@ class MotionTest:
             free[rows] = self._test(q0[rows], q1[rows], deadline)
         return free
 
+    def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
+        """Whether a point is where obstacles touch: it must leave on the side it came from, which no motion tells."""
+        boundary = self.workspace.boundary
+        if self.workspace.squeeze or not self._is_point or not len(boundary.contacts):
+            return np.zeros(q.shape[:-1], dtype=bool)
+        tree = KDTree(boundary.vertices[boundary.contacts])
+        return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
+
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Whether the robot is certainly free wherever its reference point is within circles."""
         cell, away = self._locate(x, y)
@@ -126,13 +138,12 @@ class MotionTest:
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
         """Whether pieces of motions keep off the walls near their cells."""
-        is_point = self.robot.circumscribed_radius == 0
-        work = np.full(len(cell), _OF_POINT) if is_point else self._first[cell + 1] - self._first[cell]
+        work = np.full(len(cell), _OF_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
             require_time(deadline, _PURPOSE)
             some = pieces.take(part)
-            if is_point:
+            if self._is_point:
                 a = np.stack([some.x, some.y], axis=1)
                 clear[part] = self.workspace.is_visible(a, a + np.stack([some.dx, some.dy], axis=1))
             else:

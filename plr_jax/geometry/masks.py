@@ -328,8 +328,8 @@ def as_mask(free: ArrayLike) -> Mask:
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
         raise ValueError(
-            f"free must be booleans of shape (rows, columns), such as picture > 127, got {mask.dtype} of shape "
-            f"{mask.shape}{masked}.{advice_on_cells(mask) if mask.ndim == 3 else ''}"
+            f"free[row, column], rows along y, must be booleans of shape (rows, columns), such as picture > 127, got "
+            f"{mask.dtype} of shape {mask.shape}{masked}.{advice_on_cells(mask) if mask.ndim == 3 else ''}"
         )
     return mask
 

@@ -54,8 +54,8 @@ class VoxelGrid:
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
             masked = ", some masked" if np.ma.is_masked(free) else ""
             raise ValueError(
-                f"free must be booleans of {number} axes, True where a voxel is free, such as volume == 0, got "
-                f"{voxels.dtype} of shape {voxels.shape}{masked}."
+                f"free must be booleans of {number} axes, free[x, y, ...], True where a voxel is free, such as "
+                f"volume == 0, got {voxels.dtype} of shape {voxels.shape}{masked}."
             )
         if not voxels.any():
             raise ValueError(f"free must have at least one free voxel, got none in shape {voxels.shape}.")
@@ -63,7 +63,9 @@ class VoxelGrid:
         shape = np.array(voxels.shape)
         box = Box(np.zeros(len(shape)), shape) if bounds is None else Box.of(bounds, "The bounds")
         if box.dim != voxels.ndim:
-            raise ValueError(f"The bounds must have {voxels.ndim} axes, as free has, got {shortened(bounds)}.")
+            raise ValueError(
+                f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
+            )
         if box.is_periodic:
             raise ValueError(f"Voxels fill bounds without periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE

@@ -26,6 +26,7 @@ from plr_jax.geometry.boundary import (
     advice_on_cells,
     are_crossed,
     as_bounds,
+    as_polygon,
     as_polygons,
     components_region,
     grid_of,
@@ -355,8 +356,8 @@ class Workspace:
 
         Args:
             add: Obstacles as for the class, which are numbered on.
-            remove: Numbers of obstacles, or obstacles themselves, Shapely polygons that equal these. What others
-                cover stays blocked.
+            remove: Numbers of obstacles, or obstacles themselves, rings or Shapely polygons that equal these. What
+                others cover stays blocked.
 
         Returns:
             The workspace. All other obstacles keep their numbers: in the place of one that is gone is an empty one,
@@ -389,10 +390,11 @@ class Workspace:
         """Numbers of obstacles that are to be removed; ``ValueError`` if one is none."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
-            raise ValueError(f"remove must be a list of numbers of obstacles or polygons, got {shortened(remove)}.")
+            raise ValueError(f"remove must be a list of numbers or polygons of obstacles, got {shortened(remove)}.")
         for each in [remove] if isinstance(remove, BaseGeometry) else remove:
-            if isinstance(each, BaseGeometry):
-                number = next((i for i, own in enumerate(self.obstacles) if own.equals(each)), -1)
+            if isinstance(each, BaseGeometry) or (isinstance(each, Iterable) and not isinstance(each, str)):
+                shape = as_polygon("Removed obstacle", each)
+                number = next((i for i, own in enumerate(self.obstacles) if own.equals(shape)), -1)
             else:
                 require_integer("Each number of an obstacle to remove", each, 0)
                 number = int(each)

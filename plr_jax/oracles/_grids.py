@@ -375,7 +375,8 @@ class GridField:
         numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
         if numbers.ndim != bounds.dim or numbers.size == 0:
             raise ValueError(
-                f"values must be {expected}, as the bounds have, at least one, got shape {numbers.shape}."
+                f"values must be {expected}, as the bounds have, the last one along x, at least one, got shape "
+                f"{numbers.shape}."
             )
         numbers[np.isnan(numbers)] = np.inf
         if numbers.min() < 0:

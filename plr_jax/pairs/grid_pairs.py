@@ -222,9 +222,9 @@ class GridPairs:
             radius: Cells to each side, at least 0.
 
         Returns:
-            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, by rows and columns, in steps; of 8-connected grids
-            rounded down to whole ones. -1 in cells from which no path leads to the goal: blocked ones, those outside
-            the grid, and all where the agent is outside of it, or the goal is or is blocked.
+            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, by rows, along ``y``, and columns, in steps; of
+            8-connected grids rounded down to whole ones. -1 in cells from which no path leads to the goal: blocked
+            ones, those outside the grid, and all where the agent is outside of it, or the goal is or is blocked.
 
         Raises:
             ValueError: If the points have other shapes, or the radius is no such number.
@@ -232,7 +232,8 @@ class GridPairs:
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
         if goals.ndim != 2 or goals.shape != positions.shape:
-            raise ValueError(f"goals and positions must be (n, 2) both, got {goals.shape} and {positions.shape}.")
+            expected = "goals and positions must be points (x, y), (n, 2) both"
+            raise ValueError(f"{expected}, got {goals.shape} and {positions.shape}.")
         if not len(goals):
             return jax.numpy.zeros((0, 2 * int(radius) + 1, 2 * int(radius) + 1), jax.numpy.int32)
         return distances_around(self.tables, goals, positions, radius=int(radius))

@@ -7,15 +7,14 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer, shortened
-from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
-from plr_jax._problem import Problem, motion_costs, path_cost, row_times
+from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
+from plr_jax._problem import Problem, motion_costs, path_cost, require_problem, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.robots.robot import between, motions_under_way
 
@@ -184,7 +183,7 @@ class Solution:
         if len(data) > _MOST_BYTES:
             had = f"this one would have {len(data):,}"
             raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, {had}.")
-        write_atomically(Path(path), data)
+        write_atomically(file_path(path), data)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Solution":
@@ -220,7 +219,7 @@ class Solution:
             ValueError: If the file is no solution, is damaged, or was written by a newer version.
             OSError: If the file cannot be read.
         """
-        path = Path(path)
+        path = file_path(path)
         with errors_named(path):
             return _solution_in(json_of(path, _MOST_BYTES))
 
@@ -363,9 +362,7 @@ class BLOptions:
 
 def require_task(problem: Problem, options: BLOptions) -> None:
     """``ValueError`` unless these are a problem and options."""
-    if not isinstance(problem, Problem):
-        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
-        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    require_problem(problem)
     if not isinstance(options, BLOptions):
         raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
 

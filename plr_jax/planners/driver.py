@@ -261,6 +261,9 @@ class Run:
                     if status not in (None, Status.EXHAUSTED):
                         return status, searches.joint.step
                 step /= _REFINEMENT
+                if not running and self.options.step is None:
+                    # A lattice of places for packed robots has none to spare, as where a full ring must turn.
+                    step = min(step, first_step(self.problem, self._fits, may_be_packed=False))
         finally:
             for searches in running:
                 searches.release()
@@ -480,7 +483,9 @@ class Searches:
         return 0 if "bl" in self.running else bytes_of_tables(self.joint)
 
 
-def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: True) -> float:
+def first_step(
+    problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
+) -> float:
     """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
     # Cells about as large as the smallest robot, whose lattices have room for it to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
@@ -495,7 +500,7 @@ def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: Tr
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     # Robots that are packed move from place to place, one a robot, as in a sliding puzzle: all of them, or small ones
     # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
-    if len(widths) * widths.min() ** 2 > _PACKED * area:
+    if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
     while step < _COARSEST * extent and (_work(problem, step) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT

@@ -378,7 +378,9 @@ class Motions(NamedTuple):
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
         """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
         child, leads = self.neighbors(cells, self.offsets)
-        cost = self.costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
+        at_contact = self.test.is_at_contact(self.q)  # of an end alone, which others must not go through
+        leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
+        cost = self.costs(leads, self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -434,18 +436,22 @@ def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, dea
     motions = Motions(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
+
+    def stands_free(at: Configurations) -> Bool[np.ndarray, "n"]:
+        return test(at, at, deadline) & ~test.is_at_contact(at)
+
     # 1. Find a configuration of each cell: of blocked ones a sample, if the robot could fit anywhere in the cell.
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     pattern, reach = np.array(list(product(along, along))) * side[:2], np.hypot(*side[:2]) / 2
     for cells in chunks:
         require_time(deadline, "the lattice was built")
         at = q[cells]
-        free = test(at, at, deadline)
+        free = stands_free(at)
         clearance = np.repeat(workspace.clearance(at[::per_position, :2]), per_position)
         blocked = np.flatnonzero(~free & (clearance + reach >= robot.inscribed_radius))
         samples = np.repeat(at[blocked], len(pattern), axis=0)
         samples[:, :2] += np.tile(pattern, (len(blocked), 1))
-        room, is_free = np.full(len(samples), -np.inf), test(samples, samples, deadline)
+        room, is_free = np.full(len(samples), -np.inf), stands_free(samples)
         room[is_free] = workspace.clearance(samples[is_free, :2])
         best = np.arange(len(blocked)) * len(pattern) + room.reshape(-1, len(pattern)).argmax(axis=1)
         at[blocked], free[blocked] = samples[best], is_free[best]

@@ -71,11 +71,15 @@ def _with_shortcuts(
 
     ``TimeoutError`` past the deadline of the test.
     """
-    # 1. Shortcuts that save something and hit no wall.
+    # 1. Shortcuts that save something and hit no wall. One from or to a contact of walls may lead to the other side,
+    # except at the ends of the path.
     q, own = traffic.path[:, i], end == begin + 1
+    at_contact = test.of_walls[i].is_at_contact(q)
+    at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
     useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
+    useful &= own | ~(at_contact[begin] | at_contact[end])
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
     shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
@@ -208,7 +212,9 @@ def _shortened(
         row, first, last = np.nonzero(hopeful)
         tight = ~test.of_walls[i].has_room(*reached)[row]
         begin, end = corridor[row, first], corridor[row + 1, last]
-        free = np.ones(len(row), dtype=bool)
+        at_contact = test.of_walls[i].is_at_contact(corridor)
+        free = ~(at_contact[row, first] | at_contact[row + 1, last])
+        tight &= free
         free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
         near, other = traffic.near(i, reached, motion, robots)
         tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)

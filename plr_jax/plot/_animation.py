@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
@@ -16,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite, as_number
-from plr_jax._files import write_atomically
+from plr_jax._files import file_path, write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
 from plr_jax.plot._axes import new_axes
@@ -176,7 +175,7 @@ class Animation:
             ValueError: If the ending is another one.
             OSError: If the file cannot be written.
         """
-        path = Path(path)
+        path = file_path(path)
         ending = path.suffix.lower()
         if ending == ".gif":
             write_atomically(path, _gif(self))

@@ -18,7 +18,7 @@ import shapely
 from jaxtyping import Float
 
 from plr_jax._arrays import shortened
-from plr_jax._files import write_atomically
+from plr_jax._files import file_path, write_atomically
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
@@ -133,7 +133,7 @@ class Page:
             ValueError: If the ending is another one.
             OSError: If the file cannot be written.
         """
-        path = Path(path)
+        path = file_path(path)
         if path.suffix.lower() != ".html":
             raise ValueError(f"A page is written as .html, got {str(path)!r}.")
         write_atomically(path, self.html.encode())

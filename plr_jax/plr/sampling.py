@@ -315,7 +315,12 @@ def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
 
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     """Distances at points, checked; a masked entry is one that cannot be reached."""
-    return as_distances("distance_fn", distance_fn(x.copy()), x)  # it may compute in place
+    try:
+        answer = distance_fn(x.copy())  # it may compute in place
+    except Exception as error:
+        error.add_note(f"distance_fn was called with points (n, dim) = {x.shape}, and must answer distances (n,).")
+        raise
+    return as_distances("distance_fn", answer, x)
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:

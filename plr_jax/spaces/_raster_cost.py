@@ -98,8 +98,8 @@ class RasterCost:
         factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
         if factors.ndim != domain.dim or factors.ndim > _MOST_AXES or factors.size == 0:
             raise ValueError(
-                f"values must be {expected}, as the bounds have, {_MOST_AXES} at most, and at least one, got shape "
-                f"{factors.shape}."
+                f"values must be {expected}, as the bounds have, {_MOST_AXES} at most, the last one along x, and at "
+                f"least one, got shape {factors.shape}."
             )
         factors[np.isnan(factors)] = np.inf
         wrong = ~((factors >= _LEAST_FACTOR) & (factors <= _LARGEST_FACTOR)) & (factors != np.inf)

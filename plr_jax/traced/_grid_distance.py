@@ -203,7 +203,7 @@ def _as_mask(free: ArrayLike) -> Mask:
     except (TypeError, ValueError):
         raise ValueError(f"free must be an array of booleans (h, w), got {shortened(free)}.") from None
     if mask.dtype != bool or mask.ndim != 2 or not mask.size:
-        expected = "free must be booleans of shape (h, w) with at least one cell"
+        expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
         raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
     return mask
 
@@ -217,7 +217,7 @@ def _as_points(name: str, value: ArrayLike) -> Points:
     is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
     if not is_real or points.ndim == 0 or points.shape[-1] != 2:
         raise ValueError(
-            f"{name} must be real numbers of shape (..., 2), got {points.dtype} of shape {points.shape}."
+            f"{name} must be real numbers of shape (..., 2), rows (x, y), got {points.dtype} of shape {points.shape}."
         )
     is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
     return points if is_wide else points.astype(jnp.zeros(()).dtype)  # the default

@@ -290,8 +290,10 @@ class CornerPaths:
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
         through = jnp.isfinite(self.distances)[None] & seen
-        by_corners = _length(through, x[:, None], self.corners.points(x.dtype)[None], self.distances[None])
-        value = jnp.minimum(_length(sees_goal, x, goal), jnp.min(by_corners, axis=-1))
+        to_goal = _length(sees_goal, x, goal)[:, None]
+        to_corners = _length(through, x[:, None], self.corners.points(x.dtype)[None])
+        legs, onward = jnp.append(to_goal, to_corners, axis=1), jnp.append(0, self.distances)
+        value = _shortest(legs, jnp.broadcast_to(onward.astype(x.dtype), legs.shape))
         return jnp.where(is_free, value, jnp.inf)
 
 
@@ -324,12 +326,33 @@ class CornerPairs:
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))
         from_x = _length(self.corners.seen_from(x_ends), x[:, None], points)
         from_y = _length(self.corners.seen_from(y_ends), y[:, None], points)
-        onward = jnp.min(self.between[None] + from_y[:, None], axis=-1)
-        by_corners = jnp.min(from_x + onward, axis=-1)
-        value = jnp.minimum(_length(self.corners.see_each_other(x_ends, y_ends), x, y), by_corners)
+        onward = _shortest(from_y[:, None], self.between[None])
+        direct = _length(self.corners.see_each_other(x_ends, y_ends), x, y)[:, None]
+        value = _shortest(jnp.append(direct, from_x, axis=1), jnp.append(jnp.zeros_like(direct), onward, axis=1))
         return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
 
 
-def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast, onward: Any = 0) -> Float[Array, "*batch"]:
-    """Length of segments whose ends see each other, and of what follows; else ``inf``, with gradients of 0."""
-    return jnp.where(seen, distance(a, b) + onward, jnp.inf)
+def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
+    """Length of segments whose ends see each other; else ``inf``, with gradients of 0."""
+    return jnp.where(seen, distance(a, b), jnp.inf)
+
+
+@jax.custom_jvp
+def _shortest(legs: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
+    """The least sum of a first leg and what follows, with the gradient of one such sum alone.
+
+    Of sums that are as small to rounding it is the first whose leg is no point: at a corner, the leg to that corner
+    has no direction, but the corner's own path has.
+    """
+    return jnp.min(legs + onward, axis=-1)
+
+
+@_shortest.defjvp
+def _(primals, tangents):
+    legs, onward = primals
+    total, change = legs + onward, tangents[0] + tangents[1]
+    least = jnp.min(total, axis=-1)
+    is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
+    one = jnp.argmax(jnp.where(is_least, jnp.where(legs > 0, 2, 1), 0), axis=-1)
+    is_one = jnp.arange(total.shape[-1]) == one[..., None]
+    return least, jnp.sum(jnp.where(is_one, change, 0), axis=-1)

@@ -66,6 +66,8 @@ def test_obstacles_keep_their_numbers_and_come_back():
     assert len(back.obstacles) == 4 and back.free_space.equals(workspace.free_space)
     last = back.with_obstacles(remove=[3, posts[2]])
     assert [i for i, each in enumerate(last.obstacles) if not each.is_empty] == [0]
+    ring = np.array(posts[0].exterior.coords)[-2::-1]  # the same vertices, the other way round, not closed
+    assert [each.is_empty for each in workspace.with_obstacles(remove=[ring]).obstacles] == [True, False, False]
     # What another one covers stays blocked, within the bounds.
     over = workspace.with_obstacles([shapely.box(0, 4, 9, 9)], remove=posts[:1])
     assert over.free_space.area == pytest.approx(32 - 2)
@@ -79,6 +81,8 @@ def test_obstacles_keep_their_numbers_and_come_back():
         ({"remove": [-1]}, "integer >= 0"),
         ({"remove": [0.5]}, "integer"),
         ({"remove": [shapely.box(0, 0, 1, 2)]}, "or polygons that equal one"),
+        ({"remove": [[(0, 0), (1, 0), (1, 2)]]}, "or polygons that equal one"),
+        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* One ring alone goes into a list"),
         ({"add": [[(0, 0), (1, 1)]]}, "Added obstacle 0 has 2 distinct vertices"),
         ({"add": [shapely.box(-1, -1, 9, 9)]}, "no free space"),
     ],

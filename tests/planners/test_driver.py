@@ -65,6 +65,30 @@ def test_scenes(problem):
     assert solution.cost <= (1.05 if problem.dof == 2 else 1.35) * alone
 
 
+@pytest.mark.parametrize("width", [3, 4])
+def test_a_full_ring_of_discs_moves_on_by_one(width):
+    """Each disc all but fills its cell of a ring, at whose corners they cannot all move at once."""
+    ring = [*((x, 0) for x in range(width)), (width - 1, 1), *((x, 2) for x in range(width)[::-1]), (0, 1)]
+    starts = np.array(ring) + 0.5
+    workspace = Workspace(((0, 0), (width, 3)), [[(1, 1), (width - 1, 1), (width - 1, 2), (1, 2)]])
+    problem = Problem(workspace, [DiscRobot(0.4)] * len(starts), starts, np.roll(starts, -1, axis=0))
+    solution = bl_plan(problem, options=BLOptions(max_expansions=1000))
+    assert solution.solved and validate(problem, solution.path).valid
+    assert len(starts) - 1e-9 <= solution.cost < 1.05 * len(starts)  # each goes a side of a cell at least
+
+
+@pytest.mark.parametrize("num_cells", [5, 7])
+def test_no_point_squeezes_through_a_contact_at_the_center_of_a_cell(num_cells):
+    boxes = [[(0, 0), (1, 0), (1, 1), (0, 1)], [(1, 1), (2, 1), (2, 2), (1, 2)]]  # they touch at (1, 1)
+    workspace, above, below = Workspace(((-1, -1), (3, 3)), boxes), (0.5, 1.5), (1.5, 0.5)
+    step = 4 / num_cells
+    solution = planned(Problem(workspace, [PointRobot()], [above], [below]), step=step)
+    assert 2 + np.sqrt(2) - 1e-9 <= solution.cost < 4.5  # around either box
+    # One that ends there may come from any side, and another one must not go through its goal.
+    team = Problem(workspace, [PointRobot()] * 3, [above, below, (1, 1)], [(1, 1), (1, 1), above])
+    assert planned(team, step=step).cost == pytest.approx(3 * np.sqrt(0.5))
+
+
 DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "classic", "gen_p10_n8_0_unicycle_sphere"]
 DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
 

@@ -193,12 +193,17 @@ def test_a_goal_that_most_free_points_do_not_reach_is_told_once(leaf):
 
 def test_with_rules_of_the_callers_own_the_best_leaves_are_no_cones():
     options = BuildOptions(weight_fn=lambda x: np.ones(len(x)))
-    plr = construct(ORACLE, MAZE.workspace.bounds, leaf="best", max_bytes=2048, options=options)
-    assert plr.leaf.name == "continuous"
+    plr = construct(ORACLE, MAZE.workspace.bounds, leaf="best", max_bytes=300, options=options)
+    assert plr.leaf.name == "smooth"
 
 
 def mean_error(plr, oracle, x):
     return np.abs(np.asarray(plr(x)) - oracle(x)).mean()
+
+
+def mean_and_largest_error(plr, oracle, x):
+    errors = np.abs(np.asarray(plr(x)) - oracle(x))
+    return errors.mean(), errors.max()
 
 
 def test_corners_that_have_no_room_are_not_named_and_the_error_is_the_smaller():
@@ -211,12 +216,24 @@ def test_corners_that_have_no_room_are_not_named_and_the_error_is_the_smaller():
     assert construct(ORACLE, UNIT, leaf="best", max_bytes=200).leaf.name == "cone"
 
 
-@pytest.mark.parametrize("limit", [{"max_bytes": 80}, {"max_leaves": 20}])  # too few for cones alone
-def test_the_least_mean_error_is_taken(limit):
+@pytest.mark.parametrize("limit", [{"max_bytes": 60}, {"max_bytes": 100}, {"max_leaves": 20}])  # one kind each
+def test_the_least_error_is_taken(limit):
     x = MAZE.workspace.sample_free(20_000, 1)
-    built = [construct(ORACLE, UNIT, leaf=leaf, **limit) for leaf in ("continuous", "cone")]
+    built = [construct(ORACLE, UNIT, leaf=leaf, **limit) for leaf in ("continuous", "smooth", "cone")]
     best = construct(ORACLE, UNIT, leaf="best", **limit)
-    assert best.to_bytes() == min(built, key=lambda plr: mean_error(plr, ORACLE, x)).to_bytes()
+    assert best.to_bytes() == min(built, key=lambda plr: np.prod(mean_and_largest_error(plr, ORACLE, x))).to_bytes()
+
+
+@pytest.mark.full
+def test_cones_that_err_by_far_the_most_somewhere_are_not_the_best():
+    free, rng = np.ones((30, 30), bool), np.random.default_rng(1)
+    free[rng.integers(0, 30, 40), rng.integers(0, 30, 40)] = False
+    workspace = Workspace.from_mask(free)
+    oracle, x = VisibilityGraph(workspace, (2.5, 2.5)), workspace.sample_free(20_000, 1)
+    cones, best = (construct(oracle, workspace.bounds, leaf=leaf, max_bytes=1500) for leaf in ("cone", "best"))
+    mean, largest = mean_and_largest_error(cones, oracle, x)
+    best_mean, best_largest = mean_and_largest_error(best, oracle, x)
+    assert mean < best_mean and best_largest < largest / 5 and best_mean * best_largest < mean * largest / 2
 
 
 def test_what_has_no_corners_has_continuous_leaves_or_planes_where_there_are_too_many_axes():
@@ -235,7 +252,7 @@ def test_what_has_no_corners_has_continuous_leaves_or_planes_where_there_are_too
         assert sum(asked) == 2 * total, "nothing is asked for a choice of one"
 
 
-@pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._mean_error"])
+@pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._sampled_error"])
 def test_an_interrupt_keeps_the_best_so_far(step, monkeypatch):
     """While a model is grown, or while models are compared."""
 

@@ -184,3 +184,16 @@ def test_an_oracle_may_compute_in_place():
 def test_bad_answers_are_refused(call, answer, message):
     with pytest.raises(ValueError, match=message):
         call(answer, points(5, 0))
+
+
+@pytest.mark.parametrize(
+    "one_point", [lambda x: float(x[0] + x[1]), lambda x, y: x + y, lambda x: 1.0 if x[0] else 2.0]
+)
+def test_a_function_of_one_point_is_told_that_it_is_called_with_many(one_point):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        sampling.call_oracle(one_point, np.zeros((5, 2)))
+    assert caught.value.__notes__ == [
+        "distance_fn was called with points (n, dim) = (5, 2), and must answer distances (n,)."
+    ]
+    with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with points \(5, dim\) at once"):
+        sampling.call_oracle(np.linalg.norm, np.zeros((5, 2)))

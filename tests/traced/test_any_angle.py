@@ -125,3 +125,23 @@ def test_gradients_of_pairs_are_those_to_a_goal(in_doubles):
     ours, there = jax.jit(lambda x, y: (of_pairs(x, y), to_goal(x, y)))(x, y)
     np.testing.assert_allclose(ours, there)
     np.testing.assert_allclose(ours[1], (y - np.array([4, 1])) / np.hypot(0.5, 1.6))
+
+
+@pytest.mark.full
+def test_a_gradient_at_a_corner_is_that_of_its_own_path():
+    """Around a block from (2, 2) to (4, 4): the points that paths go to first, and through last, by hand."""
+    free, goal = jnp.ones((6, 6), bool).at[2:4, 2:4].set(False), jnp.array([1, 4.5])
+    x = jnp.array([(2.0, 4.0), (2.0, 2.0), (4.0, 2.0), (5.0, 3.5)])  # three corners, two of which see the goal
+    first = jnp.array([(1, 4.5), (1, 4.5), (2, 2), (4, 4)])
+    last = jnp.array([(2, 4), (2, 2), (2, 2), (4, 4)])
+
+    @jax.jit
+    @partial(jax.vmap, in_axes=(0, None))
+    def gradients(x, goal):
+        pairs = grid_distance(free, None)
+        to_goal = jax.grad(lambda x, goal: grid_distance(free, goal)(x), argnums=(0, 1))(x, goal)
+        return to_goal, jax.grad(pairs, argnums=(0, 1))(x, goal), jax.grad(pairs, argnums=(1, 0))(goal, x)
+
+    for of_x, of_goal in gradients(x, goal):
+        np.testing.assert_allclose(of_x, (x - first) / np.hypot(*(x - first).T)[:, None], atol=1e-6)
+        np.testing.assert_allclose(of_goal, (goal - last) / np.hypot(*(goal - last).T)[:, None], atol=1e-6)

@@ -80,7 +80,10 @@ class TestOfEveryKind:
         ({"free": FREE.astype(float)}, r"got float32 of shape \(4, 6\): is it `grid == 0`"),
         ({"free": np.zeros((0, 3), bool)}, "at least one cell"),
         ({"free": "maze"}, "free must be an array of booleans"),
-        ({"goal": [1, 2, 3]}, r"goal must be real numbers of shape \(..., 2\), got int32 of shape \(3,\)"),
+        (
+            {"goal": [1, 2, 3]},
+            r"goal must be real numbers of shape \(..., 2\), rows \(x, y\), got int32 of shape \(3,\)",
+        ),
         ({"goal": [[1, 2], [3, 4]]}, r"goal must be one point of shape \(2,\), got shape \(2, 2\): use jax.vmap"),
         ({"goal": [True, False]}, "goal must be real numbers"),
         ({"goal": "there"}, "goal must be points"),
@@ -106,7 +109,9 @@ def test_wrong_arguments_are_told_while_traced(arguments, message, unchecked_typ
 
 def test_wrong_points_are_told(unchecked_types):
     field, pairs = grid_distance(FREE, GOAL, moves=4), grid_distance(FREE, None, moves=4)
-    with pytest.raises(ValueError, match=r"x must be real numbers of shape \(..., 2\), got float32 of shape \(3,\)"):
+    with pytest.raises(
+        ValueError, match=r"x must be real numbers of shape \(..., 2\), rows \(x, y\), got float32 of shape \(3,\)"
+    ):
         field([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match=r"x and y must broadcast, got shapes \(3, 2\) and \(4, 2\)"):
         pairs(np.ones((3, 2)), np.ones((4, 2)))

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
+from plr_jax._files import file_path
 from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
@@ -411,6 +412,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
         ValueError: If the file is truncated, corrupt, no PLR file, of pairs, or of another version of the format.
         OSError: If the file cannot be read.
     """
+    path = file_path(path)
     try:
         return NumpyPLR(read_bytes(path))
     except ValueError as error:
