@@ -94,14 +94,15 @@ class VisibilityGraph:
             view = _goal_view(workspace.boundary, workspace.tolerance, goal)
             goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
             goal_view = goal_table, corners.of_vertex[seen]
-        # The goal, vertex 0, is joined to the corners that it sees and that see it.
-        corner = np.setdiff1d(goal_view[1], [-1])
-        corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
+        # The goal, vertex 0, is joined to the corners that it sees and that see it. All three questions, what it sees,
+        # what sees it, and where paths to it turn, are asked of one point: beside a wall, of its foot there.
+        corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
+        corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
         set_fields(self, _goal_table=goal_view[0], _goal_edges=edges)
         distances, parents = dijkstra(self.graph, 0)
-        turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
+        turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
