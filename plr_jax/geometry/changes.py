@@ -255,10 +255,12 @@ def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
         points[place], cut[place] = table.points[which], table.cut[which]
         counts[place] = np.diff(table.first)[which]
     first = np.append(0, np.cumsum(counts))
-    key, edge = np.empty(first[-1]), np.empty(first[-1], parts[-1][0].edge.dtype)
+    key, edge, vertex = np.empty(first[-1]), *np.empty((2, first[-1]), parts[-1][0].edge.dtype)
     for table, which, place in parts:
         to, _ = run_members(first, place)
         row, run = run_members(table.first, which)
         key[to] = table.key[row] - _TURN * (which - place)[run]
-        edge[to] = np.append(change.edge, -1)[table.edge[row]] if table.boundary is change.old else table.edge[row]
-    return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge)
+        is_old = table.boundary is change.old
+        edge[to] = np.append(change.edge, -1)[table.edge[row]] if is_old else table.edge[row]
+        vertex[to] = np.append(change.vertex, -1)[table.vertex[row]] if is_old else table.vertex[row]
+    return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge, vertex)

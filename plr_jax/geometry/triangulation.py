@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import found
-from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.vectors import cross_product, left_normal
+from plr_jax._arrays import found, run_members
+from plr_jax.geometry.boundary import Boundary, grid_at
+from plr_jax.geometry.vectors import cross_product, distance_to_segment, left_normal, orientation
 
 # Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
 
@@ -66,8 +66,28 @@ class Locator:
 
 
 _FEW = 4  # points
+_MOST_STEPS = 100  # from triangle to triangle, of which one or two are needed
+_STEPS_INSIDE = 0, 1, 2, 4  # of the grid, from the foot of a point outside
 _BITS = 46
 """Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Points of free space as geometry knows them.
+
+    Args:
+        x: The points, multiples of the grid.
+        triangle: A triangle that holds each.
+        on_side: Which sides of it the point lies on: two or three if it is a vertex.
+    """
+
+    x: Float[np.ndarray, "n 2"]
+    triangle: Int[np.ndarray, "n"]
+    on_side: Bool[np.ndarray, "n 3"]
+
+    def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "Places":
+        return Places(self.x[rows], self.triangle[rows], self.on_side[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +139,125 @@ class Triangulation:
             lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
         )
 
-    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
-        """The triangle that holds each point: of a few, before there is a locator, by looking at all triangles."""
+    @cached_property
+    def grid(self) -> float:
+        """Vertices are multiples of it, and so are points before anything is asked of them."""
+        return grid_at(self.tolerance)
+
+    def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Points, rounded to the grid."""
+        return self.grid * np.rint(x / self.grid)
+
+    def locate(
+        self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+        """The triangle that holds each point of the grid, and the cross product of each of its sides and the way to it.
+
+        Signs are exact. That of a point outside of the region is one beside it, where one of them is below zero.
+
+        Args:
+            x: The points.
+            triangle: Where they may be.
+        """
+        triangle = self._find(x) if triangle is None else triangle.copy()
+        turn, pending = np.empty((len(x), 3)), np.arange(len(x))
+        for _ in range(_MOST_STEPS):
+            corners = self.triangles[triangle[pending]]
+            sides = np.roll(corners, -1, axis=1) - corners
+            away = x[pending, None] - corners
+            turn[pending] = orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1])
+            # On through a side of which the point is on the other side, and which is no wall.
+            twin = self.twin.reshape(-1, 3)[triangle[pending]]
+            side = np.where(twin >= 0, turn[pending], 0).argmin(axis=1)
+            outside = turn[pending, side] < 0
+            outside &= twin[np.arange(len(pending)), side] >= 0
+            pending, twin, side = pending[outside], twin[outside], side[outside]
+            if not len(pending):
+                break
+            triangle[pending] = twin[np.arange(len(pending)), side] // 3
+        return triangle, turn
+
+    def place(self, x: Float[np.ndarray, "n 2"]) -> "Places":
+        """Where points of free space are: on the grid, and on the nearest wall those that are free to the tolerance.
+
+        A point as near to a point contact is that, so that it is on all of its sides.
+        """
+        boundary, given, x = self.boundary, x, self.on_grid(x)
+        triangle, turn = self.locate(x)
+        outside = np.flatnonzero((turn < 0).any(axis=1))
+        if len(outside):
+            # The foot on the nearest wall, or as near to it inside as the grid has a point.
+            edge = self.walls.query_nearest(shapely.points(given[outside]), all_matches=False)[1]
+            start, end = boundary.segments[edge].transpose(1, 0, 2)
+            way = end - start
+            share = ((given[outside] - start) * way).sum(axis=1) / (way * way).sum(axis=1)
+            foot = start + np.clip(share, 0, 1)[:, None] * way
+            beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
+            triangle[outside], turn[outside] = beside, 0.0
+            for steps in _STEPS_INSIDE:
+                place = self.on_grid(foot + steps * self.grid * boundary.normal[edge])
+                in_triangle, turns = self.locate(place, beside)
+                inside = (turns >= 0).all(axis=1)
+                x[outside[inside]] = place[inside]
+                triangle[outside[inside]], turn[outside[inside]] = in_triangle[inside], turns[inside]
+                outside, foot, edge, beside = (each[~inside] for each in (outside, foot, edge, beside))
+        if len(boundary.contacts):
+            corner, is_contact = self.origin.reshape(-1, 3)[triangle], np.zeros(len(boundary.vertices), bool)
+            is_contact[boundary.contacts] = True
+            some = np.flatnonzero(is_contact[corner].any(axis=1))
+            away = np.linalg.norm(boundary.vertices[corner[some]] - given[some, None], axis=2)
+            away[~is_contact[corner[some]]] = np.inf
+            near = away.argmin(axis=1)
+            is_near = away[np.arange(len(some)), near] <= self.tolerance
+            some, near = some[is_near], near[is_near]
+            x[some], turn[some] = boundary.vertices[corner[some, near]], 0.0
+        return Places(x, triangle, turn == 0)
+
+    def are_joined(
+        self, a: Places, b: Places, tolerance: float, squeeze: bool
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether free paths join points that keep within a tolerance of the segment between them.
+
+        Args:
+            a: Where the segments start.
+            b: Where they end.
+            tolerance: The tolerance.
+            squeeze: Whether a path may pass through a point in which the region touches itself.
+        """
+        # From triangle to triangle through sides that come within the tolerance of the segment, and around contacts.
+        num, boundary, joined = len(self.triangles), self.boundary, np.zeros(len(a.x), bool)
+        contacts = found(boundary.contacts, self.origin)
+        half_edge = np.flatnonzero(contacts >= 0)[np.argsort(contacts[contacts >= 0], kind="stable")]
+        first = np.searchsorted(contacts[half_edge], np.arange(len(boundary.contacts) + 1))
+        before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
+        while len(keys):
+            pair, triangle = np.divmod(keys, num)
+            joined[pair[triangle == b.triangle[pair]]] = True
+            pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
+            start, way, corners = a.x[pair, None], (b.x - a.x)[pair, None], self.triangles[triangle]
+            sides = np.roll(corners, -1, axis=1) - corners
+            is_near = _segments_distance(start, way, corners, sides) <= tolerance
+            twin = self.twin.reshape(-1, 3)[triangle]
+            row, side = np.nonzero(is_near & (twin >= 0))
+            onward = [pair[row] * np.int64(num) + twin[row, side] // 3]
+            if len(boundary.contacts):
+                contact = contacts.reshape(-1, 3)[triangle]
+                is_near = distance_to_segment(*np.moveaxis(start - corners, 2, 0), *np.moveaxis(way, 2, 0)) <= tolerance
+                is_end = (corners == start).all(axis=2) | (corners == start + way).all(axis=2)
+                row, corner = np.nonzero((contact >= 0) & is_near & (is_end | squeeze))
+                around, of = run_members(first, contact[row, corner])
+                onward.append(pair[row[of]] * np.int64(num) + half_edge[around] // 3)
+            before, keys = keys, np.setdiff1d(np.concatenate(onward), np.concatenate([before, keys]))
+        return joined
+
+    @cached_property
+    def walls(self) -> shapely.STRtree:
+        """The edges of the boundary in a tree."""
+        segments: Any = shapely.linestrings(self.boundary.segments)
+        return shapely.STRtree(segments)
+
+    def _find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
+        """The triangle that about holds each point: of a few, before there is a locator, by a look at all triangles."""
         if len(x) > _FEW or "locator" in self.__dict__:
             return self.locator.find(x)
         sides = np.roll(self.triangles, -1, axis=1) - self.triangles
@@ -130,6 +267,22 @@ class Triangulation:
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         """The corners of each triangle, counterclockwise."""
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
+
+
+def _segments_distance(
+    start: Float[np.ndarray, "n 1 2"],
+    way: Float[np.ndarray, "n 1 2"],
+    other_start: Float[np.ndarray, "n 3 2"],
+    other_way: Float[np.ndarray, "n 3 2"],
+) -> Float[np.ndarray, "n 3"]:
+    """Distance of segments from others."""
+    to_start, to_end = other_start - start, other_start + other_way - start
+    crosses = cross_product(way, to_start) * cross_product(way, to_end) < 0
+    crosses &= cross_product(other_way, -to_start) * cross_product(other_way, way - to_start) < 0
+    of = np.moveaxis(np.broadcast_arrays(way, other_way), 3, 1)
+    ends = (-to_start, 0), (-to_end, 0), (to_start, 1), (to_start - way, 1)
+    away = [distance_to_segment(*np.moveaxis(end, 2, 0), *of[which]) for end, which in ends]
+    return np.where(crosses, 0.0, np.min(away, axis=0))
 
 
 def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

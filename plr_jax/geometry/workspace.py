@@ -24,7 +24,6 @@ from plr_jax.geometry.boundary import (
     Boundary,
     Region,
     advice_on_cells,
-    are_crossed,
     as_bounds,
     as_polygons,
     components_region,
@@ -36,7 +35,6 @@ from plr_jax.geometry.boundary import (
     region_after,
     region_of,
     rounding_of,
-    thin_walls,
     triangulate,
 )
 from plr_jax.geometry.box import Box
@@ -231,10 +229,6 @@ class Workspace:
         return shapely.STRtree(segments)
 
     @cached_property
-    def _thin_walls(self) -> Float[np.ndarray, "walls 3 2"]:
-        return thin_walls(self.boundary, self.edge_tree, self.tolerance)
-
-    @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
@@ -314,12 +308,17 @@ class Workspace:
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(free, segments)
-        if len(self._thin_walls):
-            moving = moving[visible[moving]]
-            visible[moving] = ~are_crossed(self._thin_walls, a[moving], b[moving], tolerance)
-        if not self.squeeze and len(self.boundary.contacts):
-            moving = moving[visible[moving]]
-            visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)
+        # What leaves free space, or comes near to a contact, is looked at again: free space that is grown has no thin
+        # walls, and paths through contacts.
+        kept = visible[moving]
+        moving, segments = moving[kept], segments[kept]
+        doubted = ~shapely.covers(self.free_space, segments)
+        if len(contacts := self.boundary.contacts):
+            points: Any = shapely.points(self.boundary.vertices[contacts])
+            doubted[shapely.STRtree(points).query(segments, predicate="dwithin", distance=tolerance)[0]] = True
+        if len(moving := moving[doubted]):
+            mesh = self.triangulation
+            visible[moving] = mesh.are_joined(mesh.place(a[moving]), mesh.place(b[moving]), tolerance, self.squeeze)
         return visible
 
     def inflate(self, radius: float) -> "Workspace":

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int, UInt64
 from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
 from plr_jax._arrays import found as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
-from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
@@ -29,7 +28,7 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, triangles_within, visibility_of
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -91,11 +90,9 @@ class VisibilityGraph:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         if goal_view is None:
-            view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-            goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+            goal_table, (_, seen) = visibility_of(workspace.triangulation, viewpoint_at(workspace.triangulation, goal))
             goal_view = goal_table, corners.of_vertex[seen]
-        # The goal, vertex 0, is joined to the corners that it sees and that see it. All three questions, what it sees,
-        # what sees it, and where paths to it turn, are asked of one point: beside a wall, of its foot there.
+        # The goal, vertex 0, is joined to the corners that it sees and that see it.
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
         corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
@@ -144,7 +141,7 @@ class VisibilityGraph:
             if (triangulation := changed_triangulation(own.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
             workspace.use_triangulation(triangulation)
-        view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+        view = viewpoint_at(workspace.triangulation, goal)
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
@@ -357,11 +354,14 @@ class VisibilityGraph:
         """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
-        seen, hidden = free[direct], x[free[~direct]]
+        places = self.workspace.triangulation.place(x[free])
+        direct = self._goal_table.sees(np.zeros(len(free), int), places.x)
+        seen, hidden = free[direct], places[~direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         sees = self._corners.table.sees
-        ways = self.regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
+        ways = self.regions.first_visible(
+            x[free[~direct]], hidden, lambda point, vertex: sees(vertex - 1, hidden.x[point])
+        )
         turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
@@ -379,24 +379,6 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
         where = "in an obstacle" if is_in else f"outside the bounds {workspace.bounds}"
         raise ValueError(f"The goal {goal.tolist()} lies {where} {clearance}; move it into free space.")
     return goal
-
-
-def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"]) -> Viewpoints:
-    """The goal as a viewpoint, moved exactly onto the vertex or edge it lies on to within tolerance."""
-    to_vertex = np.linalg.norm(boundary.vertices - goal, axis=1)
-    if to_vertex.min() <= tolerance:
-        vertex = to_vertex.argmin()
-        edge = np.flatnonzero(boundary.edges[:, 0] == vertex)
-        return Viewpoints(boundary.vertices[[vertex]], np.zeros(len(edge), int), edge)
-    start, end = boundary.segments.transpose(1, 0, 2)
-    share = ((goal - start) * (end - start)).sum(axis=1) / ((end - start) ** 2).sum(axis=1)
-    foot = start + np.clip(share, 0, 1)[:, None] * (end - start)
-    to_edge = np.linalg.norm(goal - foot, axis=1)
-    near = to_edge.argmin()
-    if to_edge[near] <= tolerance:
-        return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
-    none = np.empty(0, int)
-    return Viewpoints(goal[None], none, none)
 
 
 def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:

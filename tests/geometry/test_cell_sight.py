@@ -50,11 +50,6 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
     check_pairs_of_points(kind, seed, squeeze, lambda workspace: triangulate(workspace.free_space))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="Points about a tolerance from a wall are judged differently: an issue of tolerances, to be mended next.",
-)
 def test_pieces_of_the_triangulation_of_a_workspace_are_seen_as_one_pair_of_points_at_a_time_is():
     check_pairs_of_points(fan_workspace, 2216, False, lambda workspace: workspace.triangulation.triangles)
 
