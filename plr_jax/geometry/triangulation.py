@@ -213,9 +213,7 @@ class Triangulation:
             x[some], turn[some] = boundary.vertices[corner[some, near]], 0.0
         return Places(x, triangle, turn == 0)
 
-    def are_joined(
-        self, a: Places, b: Places, tolerance: float, squeeze: bool
-    ) -> Bool[np.ndarray, "n"]:
+    def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
         """Whether free paths join points that keep within a tolerance of the segment between them.
 
         Args:
@@ -242,7 +240,9 @@ class Triangulation:
             onward = [pair[row] * np.int64(num) + twin[row, side] // 3]
             if len(boundary.contacts):
                 contact = contacts.reshape(-1, 3)[triangle]
-                is_near = distance_to_segment(*np.moveaxis(start - corners, 2, 0), *np.moveaxis(way, 2, 0)) <= tolerance
+                is_near = (
+                    distance_to_segment(*np.moveaxis(start - corners, 2, 0), *np.moveaxis(way, 2, 0)) <= tolerance
+                )
                 is_end = (corners == start).all(axis=2) | (corners == start + way).all(axis=2)
                 row, corner = np.nonzero((contact >= 0) & is_near & (is_end | squeeze))
                 around, of = run_members(first, contact[row, corner])

@@ -250,7 +250,10 @@ class VisibilityTable:
         if len(near):  # the interval that holds the direction, exactly; on a bound of it, the one before as well
             row, first, last, key = row[near], self.first[v[near]], last[near], key[near]
             v, x, dx, dy = v[near], x[near], dx[near], dy[near]
-            for step in (1, -1):  # on while the direction is at or left of the next start, back while right of its own
+            for step in (
+                1,
+                -1,
+            ):  # on while the direction is at or left of the next start, back while right of its own
                 pending = np.arange(len(near))
                 while len(pending):
                     bound = row[pending] + max(step, 0)
@@ -297,7 +300,9 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
         np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge", "vertex")
     )
     first = np.append(np.concatenate(first), rows[-1])
-    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge, vertex)
+    return VisibilityTable(
+        tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge, vertex
+    )
 
 
 def visibility_of(

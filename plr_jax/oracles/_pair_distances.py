@@ -168,8 +168,9 @@ class PairDistances:
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
         """How many corners see some of the triangles at each point, and the runs that these are, point by point."""
-        begins, (held, first, triangle) = self._regions[0], triangles_at(
-            self.workspace.triangulation, self.workspace.triangulation.place(x)
+        begins, (held, first, triangle) = (
+            self._regions[0],
+            triangles_at(self.workspace.triangulation, self.workspace.triangulation.place(x)),
         )
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
         num_runs[held], in_triangle[held] = np.diff(first), True

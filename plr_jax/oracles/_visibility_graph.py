@@ -90,7 +90,9 @@ class VisibilityGraph:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         if goal_view is None:
-            goal_table, (_, seen) = visibility_of(workspace.triangulation, viewpoint_at(workspace.triangulation, goal))
+            goal_table, (_, seen) = visibility_of(
+                workspace.triangulation, viewpoint_at(workspace.triangulation, goal)
+            )
             goal_view = goal_table, corners.of_vertex[seen]
         # The goal, vertex 0, is joined to the corners that it sees and that see it.
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
