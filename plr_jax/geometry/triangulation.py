@@ -42,8 +42,11 @@ class Locator:
     triangle: Int[np.ndarray, "entries"]
     lines: Float[np.ndarray, "triangles 3 3"]
 
-    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
-        """The triangle that holds each point, or that it is nearest to of those that meet its cell; else -1."""
+    def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The triangle that holds each point, or that it is nearest to of those that meet its cell, else -1.
+
+        And how far inside of all of its sides the point lies.
+        """
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -57,7 +60,7 @@ class Locator:
             found[pending[better]], best[pending[better]] = triangle[better], height[better]
             outside = height < 0
             pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
-        return found
+        return found, best
 
     def heights(self, triangle: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """How far inside of each side of a triangle a point lies."""
@@ -151,21 +154,28 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """The triangle that holds each point of the grid, and the cross product of each of its sides and the way to it.
+        """The triangle that holds each point of the grid, and whether it is left (1) of each side, or on it (0).
 
-        Signs are exact. That of a point outside of the region is one beside it, where one of them is below zero.
+        Of a point outside of the region a triangle beside it, and -1 for the wall between.
 
         Args:
             x: The points.
             triangle: Where they may be.
         """
-        triangle = self._find(x) if triangle is None else triangle.copy()
-        turn, pending = np.empty((len(x), 3)), np.arange(len(x))
+        turn, pending = np.ones((len(x), 3)), np.arange(len(x))
+        if triangle is not None:
+            triangle = triangle.copy()
+        elif len(x) > _FEW or "locator" in self.__dict__:
+            triangle, height = self.locator.find(x)
+            pending = np.flatnonzero(height <= self.tolerance)
+        else:  # before there is a locator, by a look at all triangles
+            sides = np.roll(self.triangles, -1, axis=1) - self.triangles
+            triangle = np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
         for _ in range(_MOST_STEPS):
             corners = self.triangles[triangle[pending]]
             sides = np.roll(corners, -1, axis=1) - corners
             away = x[pending, None] - corners
-            turn[pending] = orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1])
+            turn[pending] = np.sign(orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1]))
             # On through a side of which the point is on the other side, and which is no wall.
             twin = self.twin.reshape(-1, 3)[triangle[pending]]
             side = np.where(twin >= 0, turn[pending], 0).argmin(axis=1)
@@ -255,13 +265,6 @@ class Triangulation:
         """The edges of the boundary in a tree."""
         segments: Any = shapely.linestrings(self.boundary.segments)
         return shapely.STRtree(segments)
-
-    def _find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
-        """The triangle that about holds each point: of a few, before there is a locator, by a look at all triangles."""
-        if len(x) > _FEW or "locator" in self.__dict__:
-            return self.locator.find(x)
-        sides = np.roll(self.triangles, -1, axis=1) - self.triangles
-        return np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:

@@ -25,8 +25,8 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.
     """
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
-    doubted = np.nonzero(np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q)))
-    if doubted[0].size:
+    doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
+    if doubted.any():
         a, b, c, d = (np.broadcast_to(each, result.shape)[doubted] for each in (ux, vy, uy, vx))
         result[doubted] += _lost(a, b) - _lost(c, d)
     return result

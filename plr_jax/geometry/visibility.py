@@ -102,9 +102,14 @@ class _Cones:
     def __len__(self) -> int:
         return len(self.view)
 
-    def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "_Cones":
+    def __getitem__(self, rows: slice) -> "_Cones":
         of = self.view[rows], self.half_edge[rows], self.vertex[rows]
         return _Cones(*of, self.right[:, rows], self.left[:, rows])
+
+    def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
+        """Some of the cones, in less time than by an index: NumPy is slow where rows of an array are long."""
+        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)
+        return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
 def triangles_within(
@@ -130,7 +135,7 @@ def triangles_within(
     kept = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
     right = np.where(from_right[0] & ~whole, right, cones.right)
     left = np.where(from_left[0] & ~whole, left, cones.left)
-    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left)[kept]
+    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(kept)
     visited = [np.stack([first.view, first.half_edge // 3])]
     visited += [new for _, _, new in _expansion(triangulation, views, first)]
     return np.concatenate(visited, axis=1)
@@ -151,7 +156,7 @@ def _expansion(
     while pending:
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
-        walls, cones = cones[np.flatnonzero(is_wall)], cones[np.flatnonzero(~is_wall)]
+        walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
         # Of the next triangles, the corner ahead may be seen, and may part the cone.
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
@@ -164,15 +169,16 @@ def _expansion(
         goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
         goes_left |= ~goes_right
         parted = goes_right & goes_left
-        middle = np.stack([x, y])
         right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
-        onward = _Cones(
-            np.concatenate([view[right], view[left]]),
-            np.concatenate([right_exit[right], left_exit[left]]),
-            np.concatenate([cones.vertex[right], np.where(parted, ahead, cones.vertex)[left]]),
-            np.concatenate([cones.right[:, right], np.where(parted, middle, cones.right)[:, left]], axis=1),
-            np.concatenate([np.where(parted, middle, cones.left)[:, right], cones.left[:, left]], axis=1),
-        )
+        onward = cones.take(np.concatenate([right, left]))
+        onward.half_edge[:] = np.concatenate([right_exit.take(right), left_exit.take(left)])
+        # The corner ahead is the left bound of the right part, and the right bound of the left one.
+        of_right, of_left = np.flatnonzero(parted.take(right)), np.flatnonzero(parted.take(left))
+        middle, of_left = left.take(of_left), of_left + len(right)
+        onward.vertex[of_left] = ahead.take(middle)
+        for axis, along in enumerate((x, y)):
+            onward.right[axis, of_left] = along.take(middle)
+            onward.left[axis, of_right] = along.take(right.take(of_right))
         pending += [onward[begin : begin + _MOST] for begin in range(0, len(onward), _MOST)]
         yield walls, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
 

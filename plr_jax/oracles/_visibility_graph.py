@@ -356,15 +356,18 @@ class VisibilityGraph:
         """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        places = self.workspace.triangulation.place(x[free])
-        direct = self._goal_table.sees(np.zeros(len(free), int), places.x)
-        seen, hidden = free[direct], places[~direct]
+        mesh, sees = self.workspace.triangulation, self._corners.table.sees
+        # Few points are moved into free space: of these it is asked again what the goal sees.
+        grid = mesh.on_grid(x[free])
+        direct = self._goal_table.sees(np.zeros(len(free), int), grid)
+        rest = np.flatnonzero(~direct)
+        places = mesh.place(x[free[rest]])
+        moved = (places.x != grid[rest]).any(axis=1)
+        direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
+        places, seen, hidden = places[~direct[rest]], free[direct], free[~direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        sees = self._corners.table.sees
-        ways = self.regions.first_visible(
-            x[free[~direct]], hidden, lambda point, vertex: sees(vertex - 1, hidden.x[point])
-        )
-        turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
+        ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
+        turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 

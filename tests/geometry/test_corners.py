@@ -65,7 +65,7 @@ def test_turn_points_by_triangle_are_as_good_as_all_of_them(seed, lattice, squee
 def test_only_the_corners_around_which_paths_come_count():
     """Left of a wall that stands on the floor paths turn at its upper left corner, above it at the right one."""
     regions, triangulation = VisibilityGraph(BLOCK, (8.0, 4.0)).regions, BLOCK.triangulation
-    triangle = triangulation.locator.find(np.array([[1.0, 2.0], [5.0, 9.0]]))
+    triangle, _ = triangulation.locator.find(np.array([[1.0, 2.0], [5.0, 9.0]]))
     at = [regions.turns.points[regions.turn[regions.first[t] : regions.first[t + 1]]].tolist() for t in triangle]
     assert [4.0, 8.0] in at[0] and [6.0, 8.0] in at[1]
     assert len(regions.first) == len(triangulation.triangles) + 1

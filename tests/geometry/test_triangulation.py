@@ -56,7 +56,7 @@ def test_free_space_is_filled_between_its_walls_and_points_are_found_in_the_tria
     check(workspace)
     mesh, x = workspace.triangulation, workspace.sample_free(200, seed)
     x = np.concatenate([x, mesh.triangles.mean(axis=1), workspace.boundary.vertices])
-    triangle = mesh.locator.find(x)
+    triangle, _ = mesh.locator.find(x)
     held = shapely.dwithin(shapely.polygons(mesh.triangles)[triangle], shapely.points(x), workspace.tolerance)
     assert (triangle >= 0).all() and held.all()
 
