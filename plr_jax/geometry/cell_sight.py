@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members, runs
 from plr_jax._types import Sources
+from plr_jax.geometry.boundary import grid_at
 from plr_jax.geometry.convex_pieces import (
     PartCorner,
     PartIndex,
@@ -40,9 +41,6 @@ from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
-_ROUNDING = 1e-3  # of a direction or a point, in tolerances of the workspace
-_LEAD = 1 / 128
-"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
 _CHUNK = 1 << 16  # pairs of a piece and a source that are tested together where there are many
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
@@ -107,7 +105,7 @@ class Shadows:
         cx, cy = self.table.cut[view].T[:, :, None]
         key = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         distance = np.sqrt(dx * dx + dy * dy)
-        rounding = _ROUNDING * self.table.tolerance
+        rounding = grid_at(self.table.tolerance)
         blur = rounding / np.maximum(distance, rounding)
         apart = distance > self.table.tolerance
         wraps = highest(np.where(apart, key, -np.inf)) - lowest(np.where(apart, key, np.inf)) > 2
@@ -440,7 +438,7 @@ class CellSources:
             self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
         )
         keep = np.isfinite(distance)[self.piece]
-        keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
+        keep[rivals[lowest > np.where(by_best[piece], -self.sight.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
 

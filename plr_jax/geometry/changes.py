@@ -25,7 +25,6 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # of a pseudo-angle
-_BESIDE = 1e-9  # of it, by which rounding may turn directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +197,7 @@ def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
-    for box in change.boxes(4 * table.tolerance):
+    for box in change.boxes(table.tolerance):
         rest = np.flatnonzero(~sees)
         sees[rest[may_see(table, rest, box)]] = True
     return sees
@@ -227,8 +226,8 @@ def may_see(
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
     of = view[number]
-    begin = np.searchsorted(table.key, _TURN * of + low - _BESIDE, side="right") - 1
-    end = np.searchsorted(table.key, _TURN * of + high + _BESIDE, side="right")
+    begin = np.searchsorted(table.key, _TURN * of + low - table.blur, side="right") - 1
+    end = np.searchsorted(table.key, _TURN * of + high + table.blur, side="right")
     begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
     run, place = runs(np.maximum(end - begin, 0))
     edge, number = table.edge[begin[run] + place], number[run]

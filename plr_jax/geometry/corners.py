@@ -14,10 +14,6 @@ from plr_jax.geometry.vectors import cross_product, distances_between, turned_le
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
-_SLACK = 100
-"""Tolerances of the workspace by which a line may cut into a corner and still count as tangent."""
-
-
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
     """Points that shortest paths run through: corners that stick out into free space, and what turns like them.
@@ -73,7 +69,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     walls[:, owner] = views.opens(boundary), views.closes(boundary)
     walls /= np.linalg.norm(walls, axis=2, keepdims=True)
     walls[:, np.isin(vertex, contacts)] = 0.0
-    return ReflexCorners(views.points, walls, _SLACK * workspace.tolerance), views
+    return ReflexCorners(views.points, walls, workspace.tolerance), views
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +191,16 @@ def find_turn_points(
     vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
-    norm = np.linalg.norm(onward, axis=1, keepdims=True)
-    onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
     onward[(opens == 0).all(axis=1)] = 0.0
     # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it is to
     # the left of the way onward, the path comes around the opening wall, else around the closing one.
     on_left = cross_product(onward, opens + closes) > 0
     side = np.where(on_left, 1.0, -1.0)[:, None]
     wall = np.where(on_left[:, None], opens, closes)
+    straight_on_is_blocked = side[:, 0] * cross_product(onward, wall) < -vertices.slack
+    norm = np.linalg.norm(onward, axis=1, keepdims=True)
+    onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
     normal = np.stack([side * turned_left(onward), side * turned_left(wall)])
-    straight_on_is_blocked = (normal[0] * wall).sum(axis=1) < -1e-9
     useful = np.flatnonzero(~straight_on_is_blocked)
     vertex = vertex[useful]
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)

@@ -312,7 +312,8 @@ class Workspace:
         # walls, and paths through contacts.
         kept = visible[moving]
         moving, segments = moving[kept], segments[kept]
-        doubted = ~shapely.covers(self.free_space, segments)
+        own = prepared(self, "free", lambda: shapely.transform(self.free_space, np.copy))
+        doubted = ~shapely.covers(own, segments)
         if len(contacts := self.boundary.contacts):
             points: Any = shapely.points(self.boundary.vertices[contacts])
             doubted[shapely.STRtree(points).query(segments, predicate="dwithin", distance=tolerance)[0]] = True

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
@@ -17,7 +16,6 @@ from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see
-from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -32,7 +30,6 @@ from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangle
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-_LOST = 1e-6  # share of free space that rounding may lose
 _ROUNDING = 1e-12  # of the largest distance, by which changes may differ and are one
 
 
@@ -190,25 +187,8 @@ class VisibilityGraph:
 
         Returns:
             The pieces of free space in the box from which the goal can be reached, and their sources.
-
-        Raises:
-            ValueError: If not all of the free space around the goal is such: corners nearer to one another than the
-                workspace's tolerance may hide it.
         """
-        found = self.sources_of_boxes(domain.lo[None], domain.hi[None])
-        around: Any = shapely.get_parts(self.workspace.free_space)
-        around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
-        # Not clip_by_rect, which errs where edges end on sides of the box.
-        around = shapely.intersection(around, shapely.box(*domain.lo, *domain.hi))
-        area, outline = float(shapely.area(around).sum()), float(shapely.length(around).sum())
-        rounded = _LOST * area + self.workspace.tolerance * outline
-        if (reached := float(areas(found.pieces).sum())) < area - rounded:
-            raise ValueError(
-                f"The goal is found to be reached from {reached / area:.3g} of the free space that it lies in: where "
-                "obstacles all but touch, corners are nearer to one another than the workspace's tolerance, "
-                f"{self.workspace.tolerance:g}. Simplify the obstacles, or join them there."
-            )
-        return found
+        return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
         """As :meth:`cell_sources`, of boxes as cells, whatever they are parts of.
@@ -390,7 +370,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     """What of the distances to a goal has changed from one oracle of it to another."""
     change = Change.between(before.workspace.boundary, after.workspace.boundary)
     old, new = before.workspace.triangulation, after.workspace.triangulation
-    boxes = change.boxes(4 * old.tolerance)
+    boxes = change.boxes(old.tolerance)
     rounding = _ROUNDING * float(before.distances[np.isfinite(before.distances)].max(initial=0.0))
     # 1. Which source afterwards each was before, the goal or a corner, and by how much its distance changed.
     vertex = np.empty(len(before.family.corners.points), int)
