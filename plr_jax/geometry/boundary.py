@@ -62,7 +62,13 @@ class Boundary:
         """``normal @ x`` on each edge; beside the edge, the region is where it is more."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
-    @property
+    @cached_property
+    def tree(self) -> shapely.STRtree:
+        """The edges, in their order, as Shapely lines in a tree."""
+        segments: Any = shapely.linestrings(self.segments)
+        return shapely.STRtree(segments)
+
+    @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Vertices in which the region touches itself: those of more than one sector."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)

@@ -14,6 +14,7 @@ from plr_jax.geometry.vectors import cross_product, distances_between, turned_le
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
+
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
     """Points that shortest paths run through: corners that stick out into free space, and what turns like them.

@@ -143,6 +143,11 @@ class Triangulation:
         )
 
     @cached_property
+    def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
+        """Which corners of triangles are points in which the region touches itself."""
+        return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
+
+    @cached_property
     def grid(self) -> float:
         """Vertices are multiples of it, and so are points before anything is asked of them."""
         return grid_at(self.tolerance)
@@ -197,11 +202,12 @@ class Triangulation:
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
             # The foot on the nearest wall, or as near to it inside as the grid has a point.
-            edge = self.walls.query_nearest(shapely.points(given[outside]), all_matches=False)[1]
-            start, end = boundary.segments[edge].transpose(1, 0, 2)
-            way = end - start
-            share = ((given[outside] - start) * way).sum(axis=1) / (way * way).sum(axis=1)
-            foot = start + np.clip(share, 0, 1)[:, None] * way
+            points: Any = shapely.points(given[outside])
+            edge = boundary.tree.query_nearest(points, all_matches=False)[1]
+            lines = boundary.tree.geometries[edge]
+            foot = shapely.get_coordinates(
+                shapely.line_interpolate_point(lines, shapely.line_locate_point(lines, points))
+            )
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
             triangle[outside], turn[outside] = beside, 0.0
             for steps in _STEPS_INSIDE:
@@ -212,15 +218,10 @@ class Triangulation:
                 triangle[outside[inside]], turn[outside[inside]] = in_triangle[inside], turns[inside]
                 outside, foot, edge, beside = (each[~inside] for each in (outside, foot, edge, beside))
         if len(boundary.contacts):
-            corner, is_contact = self.origin.reshape(-1, 3)[triangle], np.zeros(len(boundary.vertices), bool)
-            is_contact[boundary.contacts] = True
-            some = np.flatnonzero(is_contact[corner].any(axis=1))
-            away = np.linalg.norm(boundary.vertices[corner[some]] - given[some, None], axis=2)
-            away[~is_contact[corner[some]]] = np.inf
-            near = away.argmin(axis=1)
-            is_near = away[np.arange(len(some)), near] <= self.tolerance
-            some, near = some[is_near], near[is_near]
-            x[some], turn[some] = boundary.vertices[corner[some, near]], 0.0
+            away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
+            away[~self.is_contact[triangle]] = np.inf
+            near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
+            x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
         return Places(x, triangle, turn == 0)
 
     def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
@@ -259,12 +260,6 @@ class Triangulation:
                 onward.append(pair[row[of]] * np.int64(num) + half_edge[around] // 3)
             before, keys = keys, np.setdiff1d(np.concatenate(onward), np.concatenate([before, keys]))
         return joined
-
-    @cached_property
-    def walls(self) -> shapely.STRtree:
-        """The edges of the boundary in a tree."""
-        segments: Any = shapely.linestrings(self.boundary.segments)
-        return shapely.STRtree(segments)
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:

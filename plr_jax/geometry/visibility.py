@@ -23,7 +23,7 @@ from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, t
 # edge on, unless the corner lies outside. The cones of many viewpoints advance together, so that the cost follows
 # what is seen.
 #
-# A corner on a bound counts as seen but parts no cone. All of this is exact, as vertices and viewpoints lie on a grid.
+# A corner on a bound counts as seen but parts no cone. This is exact, as vertices and viewpoints lie on a grid.
 
 
 _MOST = 1 << 18  # cones that advance at a time
@@ -250,39 +250,34 @@ class VisibilityTable:
         cx, cy = self.cut[v].T
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
-        seen, blur, last = self._in_front(row, x), self.blur, self.first[v + 1] - 1
-        after = np.minimum(row + 1, last)
-        near = np.flatnonzero((key - self.key[row] <= blur) | (np.abs(self.key[after] - key) <= blur))
-        if len(near):  # the interval that holds the direction, exactly; on a bound of it, the one before as well
-            row, first, last, key = row[near], self.first[v[near]], last[near], key[near]
-            v, x, dx, dy = v[near], x[near], dx[near], dy[near]
-            for step in (
-                1,
-                -1,
-            ):  # on while the direction is at or left of the next start, back while right of its own
-                pending = np.arange(len(near))
-                while len(pending):
-                    bound = row[pending] + max(step, 0)
-                    some = (bound > first[pending]) & (bound <= last[pending])
-                    some[some] = np.abs(self.key[bound[some]] - key[pending[some]]) <= blur
-                    pending, bound = pending[some], bound[some]
-                    turn = self._from_bound(bound, v[pending], dx[pending], dy[pending])
-                    pending = pending[turn >= 0 if step > 0 else turn < 0]
-                    row[pending] += step
-            on_bound = (row > first) & (np.abs(self.key[row] - key) <= blur)
-            on_bound[on_bound] = self._from_bound(row[on_bound], *(each[on_bound] for each in (v, dx, dy))) == 0
-            seen[near] = self._in_front(row, x) | (on_bound & self._in_front(row - 1, x)) | ((dx == 0) & (dy == 0))
+        seen = self._in_front(row, x)
+        apart = np.abs(self.key[[row, np.minimum(row + 1, len(self.key) - 1)]] - key).min(axis=0)
+        if len(near := np.flatnonzero(apart <= self.blur)):
+            # The interval that holds the direction, exactly; the one before as well if it is the direction between.
+            row, v, x, key = row[near], v[near], x[near], key[near]
+            while (ahead := self._side_of_start(row + 1, v, x, key) >= 0).any():
+                row += ahead
+            while (behind := (side := self._side_of_start(row, v, x, key)) < 0).any():
+                row -= behind
+            seen[near] = self._in_front(row, x) | ((side == 0) & self._in_front(row - 1, x))
+            seen[near] |= (x == self.points[v]).all(axis=1)
         return seen
 
-    def _from_bound(
+    def _side_of_start(
         self,
         row: Int[np.ndarray, "n"],
         v: Int[np.ndarray, "n"],
-        dx: Float[np.ndarray, "n"],
-        dy: Float[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        key: Float[np.ndarray, "n"],
     ) -> Float[np.ndarray, "n"]:
-        """Positive where directions from viewpoints are left of the start of intervals, exactly."""
-        return orientation(*(self.boundary.vertices[self.vertex[row]] - self.points[v]).T, dx, dy)
+        """Positive where directions to points, of some keys, are left of the start of an interval; 0 where on it."""
+        inside = (row > self.first[v]) & (row < self.first[v + 1])
+        side = np.where(row > self.first[v], -1.0, 1.0)
+        side[inside] = key[inside] - self.key[row[inside]]
+        near = np.flatnonzero(inside & (np.abs(side) <= self.blur))
+        start = self.boundary.vertices[self.vertex[row[near]]]
+        side[near] = orientation(*(start - self.points[v[near]]).T, *(x[near] - self.points[v[near]]).T)
+        return side
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are in front of the edges of intervals, or on them."""
@@ -343,7 +338,7 @@ def _look_around(
     columns = zip(*((of.view, of.half_edge, of.vertex, of.right, of.left) for of in ended), strict=True)
     cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
     # 2. For each viewpoint a direction in which it sees no vertex. Of one with sectors the middle between the end of
-    #    its first one and the start of the next, of any other, or where this is narrow, the middle of the widest cone.
+    #    its first one and the start of the next; of any other, or if that is narrow, the middle of the widest cone.
     closing = views.closes(boundary)
     opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
     order = np.lexsort((opens, views.owner))

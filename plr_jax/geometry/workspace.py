@@ -222,11 +222,10 @@ class Workspace:
         """The boundary of free space as Shapely lines, prepared for many queries."""
         return prepared(self, "walls", lambda: self.free_space.boundary)
 
-    @cached_property
+    @property
     def edge_tree(self) -> shapely.STRtree:
         """The edges of ``boundary``, in their order, as Shapely lines in a tree."""
-        segments: Any = shapely.linestrings(self.boundary.segments)
-        return shapely.STRtree(segments)
+        return self.boundary.tree
 
     @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
