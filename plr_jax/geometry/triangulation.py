@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import found, run_members
 from plr_jax.geometry.boundary import Boundary, grid_at
-from plr_jax.geometry.vectors import cross_product, distance_to_segment, left_normal, orientation
+from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 # Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
 
@@ -204,19 +204,18 @@ class Triangulation:
             # The foot on the nearest wall, or as near to it inside as the grid has a point.
             points: Any = shapely.points(given[outside])
             edge = boundary.tree.query_nearest(points, all_matches=False)[1]
-            lines = boundary.tree.geometries[edge]
+            lines: Any = boundary.tree.geometries[edge]
             foot = shapely.get_coordinates(
                 shapely.line_interpolate_point(lines, shapely.line_locate_point(lines, points))
             )
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
-            triangle[outside], turn[outside] = beside, 0.0
+            triangle[outside], turn[outside], rest = beside, 0.0, np.arange(len(outside))
             for steps in _STEPS_INSIDE:
-                place = self.on_grid(foot + steps * self.grid * boundary.normal[edge])
-                in_triangle, turns = self.locate(place, beside)
+                place = self.on_grid(foot[rest] + steps * self.grid * boundary.normal[edge[rest]])
+                in_triangle, turns = self.locate(place, beside[rest])
                 inside = (turns >= 0).all(axis=1)
-                x[outside[inside]] = place[inside]
-                triangle[outside[inside]], turn[outside[inside]] = in_triangle[inside], turns[inside]
-                outside, foot, edge, beside = (each[~inside] for each in (outside, foot, edge, beside))
+                now, rest = outside[rest[inside]], rest[~inside]
+                x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
         if len(boundary.contacts):
             away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
             away[~self.is_contact[triangle]] = np.inf
@@ -234,31 +233,29 @@ class Triangulation:
             squeeze: Whether a path may pass through a point in which the region touches itself.
         """
         # From triangle to triangle through sides that come within the tolerance of the segment, and around contacts.
-        num, boundary, joined = len(self.triangles), self.boundary, np.zeros(len(a.x), bool)
-        contacts = found(boundary.contacts, self.origin)
-        half_edge = np.flatnonzero(contacts >= 0)[np.argsort(contacts[contacts >= 0], kind="stable")]
-        first = np.searchsorted(contacts[half_edge], np.arange(len(boundary.contacts) + 1))
+        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
+        contacts = found(self.boundary.contacts, self.origin)
+        around = np.argsort(contacts, kind="stable")  # half-edges from contacts, contact by contact
+        first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
         before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
         while len(keys):
             pair, triangle = np.divmod(keys, num)
             joined[pair[triangle == b.triangle[pair]]] = True
             pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
-            start, way, corners = a.x[pair, None], (b.x - a.x)[pair, None], self.triangles[triangle]
-            sides = np.roll(corners, -1, axis=1) - corners
-            is_near = _segments_distance(start, way, corners, sides) <= tolerance
-            twin = self.twin.reshape(-1, 3)[triangle]
-            row, side = np.nonzero(is_near & (twin >= 0))
-            onward = [pair[row] * np.int64(num) + twin[row, side] // 3]
-            if len(boundary.contacts):
-                contact = contacts.reshape(-1, 3)[triangle]
-                is_near = (
-                    distance_to_segment(*np.moveaxis(start - corners, 2, 0), *np.moveaxis(way, 2, 0)) <= tolerance
-                )
-                is_end = (corners == start).all(axis=2) | (corners == start + way).all(axis=2)
-                row, corner = np.nonzero((contact >= 0) & is_near & (is_end | squeeze))
-                around, of = run_members(first, contact[row, corner])
-                onward.append(pair[row[of]] * np.int64(num) + half_edge[around] // 3)
-            before, keys = keys, np.setdiff1d(np.concatenate(onward), np.concatenate([before, keys]))
+            corners, segment = self.triangles[triangle], segments[pair, None]
+            sides = _lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
+            twin, contact = (each.reshape(-1, 3)[triangle] for each in (self.twin, contacts))
+            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segment, sides, tolerance))
+            onward = pair[row] * np.int64(num) + twin[row, side] // 3
+            if len(self.boundary.contacts):
+                is_end = (corners == a.x[pair, None]).all(axis=2) | (corners == b.x[pair, None]).all(axis=2)
+                row, side = np.nonzero((contact >= 0) & (squeeze | is_end))
+                points: Any = shapely.points(corners[row, side])
+                near = shapely.dwithin(segments[pair[row]], points, tolerance)
+                row, side = row[near], side[near]
+                half_edge, of = run_members(first, contact[row, side])
+                onward = np.append(onward, pair[row[of]] * np.int64(num) + around[half_edge] // 3)
+            before, keys = keys, np.setdiff1d(onward, np.concatenate([before, keys]))
         return joined
 
     @cached_property
@@ -267,20 +264,8 @@ class Triangulation:
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
 
 
-def _segments_distance(
-    start: Float[np.ndarray, "n 1 2"],
-    way: Float[np.ndarray, "n 1 2"],
-    other_start: Float[np.ndarray, "n 3 2"],
-    other_way: Float[np.ndarray, "n 3 2"],
-) -> Float[np.ndarray, "n 3"]:
-    """Distance of segments from others."""
-    to_start, to_end = other_start - start, other_start + other_way - start
-    crosses = cross_product(way, to_start) * cross_product(way, to_end) < 0
-    crosses &= cross_product(other_way, -to_start) * cross_product(other_way, way - to_start) < 0
-    of = np.moveaxis(np.broadcast_arrays(way, other_way), 3, 1)
-    ends = (-to_start, 0), (-to_end, 0), (to_start, 1), (to_start - way, 1)
-    away = [distance_to_segment(*np.moveaxis(end, 2, 0), *of[which]) for end, which in ends]
-    return np.where(crosses, 0.0, np.min(away, axis=0))
+def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
+    return shapely.linestrings(ends)
 
 
 def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -305,7 +305,7 @@ class Workspace:
         free = self._grown(tolerance)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
-        segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
+        segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
         # What leaves free space, or comes near to a contact, is looked at again: free space that is grown has no thin
         # walls, and paths through contacts.
