@@ -51,7 +51,8 @@ class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
-    ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
+    ``tolerance`` of them: such a point is taken to be the nearest one of free space, and one as near to a point in
+    which obstacles touch to be that point, on both of its sides. Obstacles may overlap, touch, and leave the bounds; together they cover the
     interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
     that what touches up to rounding touches. Walls and gaps thinner than a hundredth of ``tolerance`` vanish, and
     where several meet, those thinner than a quarter of it may; far from the origin, than twice of it.
@@ -288,11 +289,10 @@ class Workspace:
             a: Start points, ``(n, 2)``.
             b: End points, ``(n, 2)``.
             tolerance: How far outside free space points still count as free, for ends that are known no better, such
-                as those that a file rounds; None: the workspace's own. Walls thinner than twice a larger one may be
-                crossed.
+                as those that a file rounds; None: the workspace's own.
 
         Returns:
-            True where every point of the segment is free (to ``tolerance``); False where an end is not
+            True where a path in free space keeps within ``tolerance`` of the segment; False where an end is not
             finite.
 
         Raises:

@@ -296,6 +296,20 @@ def test_goals_beside_the_end_of_a_wall(corner, offset):
         np.testing.assert_allclose(oracle(x), np.linalg.norm(x - corner, axis=1), atol=1e-8)
 
 
+@pytest.mark.parametrize("width", [0.5, 1, 1.7, 2, 3, 10])
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_spike_about_a_tolerance_wide_is_a_wall_for_all_that_is_asked(width, turn):
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    thin = width * 4e-9
+    spike, foot = np.array([[0.4, -1], [0.4 + thin, -1], [0.4, 0.7]]), box(0.3, -1, 0.5, -0.9)
+    workspace = Workspace(((-2, -2), (2, 2)), [spike @ rotation.T, foot @ rotation.T])
+    x, y = np.array([[[0.1, 0.3], [0.1, 0.6]], [[0.8, 0.3], [0.8, 0.9]]]) @ rotation.T
+    oracle, around = VisibilityGraph(workspace, y[0]), [0.5 + np.hypot(0.4, 0.4), np.hypot(0.7, 0.3)]
+    assert workspace.is_visible(x, y).tolist() == [False, True]
+    np.testing.assert_allclose(oracle.between(x, y), around, atol=1e-8)
+    np.testing.assert_allclose([oracle(x)[0], oracle.with_goal(y[1])(x)[1]], around, atol=1e-8)
+
+
 def test_polyanya_arena_lengths(data_dir):
     folder = data_dir / "polyanya_arena"
     with open(folder / "arena_euclid.csv") as file:
