@@ -52,10 +52,11 @@ class Workspace:
 
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
     ``tolerance`` of them: such a point is taken to be the nearest one of free space, and one as near to a point in
-    which obstacles touch to be that point, on both of its sides. Obstacles may overlap, touch, and leave the bounds; together they cover the
-    interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
-    that what touches up to rounding touches. Walls and gaps thinner than a hundredth of ``tolerance`` vanish, and
-    where several meet, those thinner than a quarter of it may; far from the origin, than twice of it.
+    which obstacles touch to be that point, on both of its sides. Obstacles may overlap, touch, and leave the bounds;
+    together they cover the interior of their union. Coordinates are rounded to a grid a thousand times finer than
+    ``tolerance``, so that what touches up to rounding touches. Walls and gaps thinner than a hundredth of
+    ``tolerance`` vanish, and where several meet, those thinner than a quarter of it may; far from the origin, than
+    twice of it.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
