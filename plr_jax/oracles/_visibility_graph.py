@@ -340,14 +340,15 @@ class VisibilityGraph:
         # Few points are moved into free space: of these it is asked again what the goal sees.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)
-        rest = np.flatnonzero(~direct)
-        places = mesh.place(x[free[rest]])
-        moved = (places.x != grid[rest]).any(axis=1)
-        direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
-        places, seen, hidden = places[~direct[rest]], free[direct], free[~direct]
+        if len(rest := np.flatnonzero(~direct)):
+            places = mesh.place(x[free[rest]])
+            if (moved := (places.x != grid[rest]).any(axis=1)).any():
+                direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
+            places, hidden = places[~direct[rest]], free[~direct]
+            ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
+            turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
+        seen = free[direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
-        turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 
