@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.vectors import distance_to_segment
+from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, shorter_turn
 
@@ -345,9 +345,21 @@ def _changes_of_side(
         [_entry(way[first], way[first + 1], radius), *way[first + 1 : last], _entry(way[last], way[last - 1], radius)]
     )
     at_contact = np.linalg.norm(stay, axis=1) <= tolerance
-    may_be = [boundary.in_sector(sector, stay, tolerance) | at_contact for sector in sectors]
+    may_be = [_is_in_sector(boundary, sector, stay, tolerance) | at_contact for sector in sectors]
     came_from: Any = np.logical_and.accumulate(may_be, axis=1).any(axis=0)
     return (first + np.flatnonzero(~came_from[1:])).tolist()
+
+
+def _is_in_sector(
+    boundary: Boundary, edge: np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
+) -> Bool[np.ndarray, "n"]:
+    """Return whether offsets from the first vertex of an edge lie in the closed sector of free space there."""
+    vertex = boundary.vertices[boundary.edges[edge, 0]]
+    start = boundary.vertices[boundary.edges[edge, 1]] - vertex
+    end = boundary.vertices[boundary.sector_end[edge]] - vertex
+    left_of_start = cross_product(start, offsets) >= -tolerance * np.linalg.norm(start)
+    right_of_end = cross_product(end, offsets) <= tolerance * np.linalg.norm(end)
+    return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
 
 
 def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:

@@ -19,10 +19,9 @@ from shapely.geometry.base import BaseGeometry
 from plr_jax._arrays import as_numbers, found, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle, turn_between
+from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
 
 _COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time
-_TIP = 100  # tolerances from an end of an edge, where an edge of a blunter tip is not beside the other one any more
 _MOST_CHORDS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
 _SHORTENING = 2e-5
@@ -63,91 +62,23 @@ class Boundary:
         """``normal @ x`` on each edge; beside the edge, the region is where it is more."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
-    @property
+    @cached_property
+    def tree(self) -> shapely.STRtree:
+        """The edges, in their order, as Shapely lines in a tree."""
+        segments: Any = shapely.linestrings(self.segments)
+        return shapely.STRtree(segments)
+
+    @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Vertices in which the region touches itself: those of more than one sector."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
-    def is_reflex(self, tolerance: float) -> Bool[np.ndarray, "edges"]:
-        """Whether each sector is wider than half a turn, by a corner that stands out by ``tolerance``."""
+    def is_reflex(self) -> Bool[np.ndarray, "edges"]:
+        """Whether each sector is wider than half a turn."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
-        span = np.linalg.norm(to_start - to_end, axis=1)
-        return cross_product(to_start, to_end) < -tolerance * span
-
-    def in_sector(
-        self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether offsets from the first vertex of an edge lie in the closed sector there."""
-        vertex = self.vertices[self.edges[edge, 0]]
-        start = self.vertices[self.edges[edge, 1]] - vertex
-        end = self.vertices[self.sector_end[edge]] - vertex
-        left_of_start = cross_product(start, offsets) >= -tolerance * np.linalg.norm(start)
-        right_of_end = cross_product(end, offsets) <= tolerance * np.linalg.norm(end)
-        return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
-
-    def is_squeezed(
-        self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether segments in free space change from one sector to another in a point contact."""
-        squeezes = np.zeros(len(a), dtype=bool)
-        contacts: Any = shapely.points(self.vertices[self.contacts])
-        segments = shapely.linestrings(np.stack([a, b], axis=1))
-        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=tolerance)
-        for vertex, s in zip(self.contacts[contact], segment, strict=True):
-            ends = np.stack([a[s], b[s]]) - self.vertices[vertex]
-            if np.linalg.norm(ends, axis=1).min() <= tolerance:
-                continue
-            inside = [self.in_sector(e, ends, tolerance) for e in np.flatnonzero(self.edges[:, 0] == vertex)]
-            squeezes[s] |= not any(both.all() for both in inside)
-        return squeezes
-
-
-def thin_walls(boundary: Boundary, tree: shapely.STRtree, tolerance: float) -> Float[np.ndarray, "walls 3 2"]:
-    """Edges beside others, or of tips, through which free space that is grown by a tolerance would meet itself.
-
-    Each twice: as its first point, again, and its last one; and as the vertex before it, its first and last point.
-    Some are none, but stand beside a gap as thin.
-
-    Args:
-        boundary: The boundary of free space.
-        tree: Its edges.
-        tolerance: By which free space is grown.
-    """
-    start, end = boundary.segments.transpose(1, 0, 2)
-    way = end - start
-    step = way * np.minimum(_TIP * tolerance / np.linalg.norm(way, axis=1), 0.5)[:, None]
-    point, beside = tree.query(
-        shapely.points(np.concatenate([start, start + step, end - step])), predicate="dwithin", distance=2 * tolerance
-    )
-    edge, is_vertex = point % len(way), point < len(way)
-    apart = (edge != beside) & ~(is_vertex & (boundary.edges[beside] == boundary.edges[edge, :1]).any(axis=1))
-    thin = np.union1d(edge[apart], beside[apart])
-    start, end, before = start[thin], end[thin], boundary.vertices[boundary.sector_end[thin]]
-    return np.concatenate([np.stack([start, start, end], axis=1), np.stack([before, start, end], axis=1)])
-
-
-def are_crossed(
-    walls: Float[np.ndarray, "walls 3 2"], a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
-) -> Bool[np.ndarray, "n"]:
-    """Whether segments cross walls of ``thin_walls`` from side to side.
-
-    Neither do those that end on a wall, to the tolerance, nor those that come as near to the end of one.
-    """
-    lines: Any = shapely.linestrings(walls)
-    segment, wall = shapely.STRtree(lines).query(
-        shapely.linestrings(np.stack([a, b], axis=1)), predicate="intersects"
-    )
-    ends_apart = ~np.any(
-        [shapely.dwithin(lines[wall], shapely.points(x[segment]), tolerance) for x in (a, b)], axis=0
-    )
-    segment, wall = segment[ends_apart], wall[ends_apart]
-    normal = left_normal(b[segment] - a[segment])[:, None]
-    first, middle, last = (normal * (walls[wall] - a[segment][:, None])).sum(axis=2).T
-    through = (first * last < 0) & (np.minimum(np.abs(first), np.abs(last)) > tolerance)
-    through &= (middle == first) | (np.abs(middle) <= tolerance)
-    return np.isin(np.arange(len(a)), segment[through])
+        return orientation(*to_start.T, *to_end.T) < 0
 
 
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
@@ -250,7 +181,7 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
     arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
-    is_reflex = boundary.is_reflex(tolerance)
+    is_reflex = boundary.is_reflex()
     # ``k`` chords of an arc are shorter than it by ``radius turn^3 / (24 k^2)``.
     turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
     most, enough = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
@@ -388,7 +319,12 @@ def rounding_at(width: float, reach: float) -> float:
 
 def grid_of(bounds: Box) -> float:
     """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
-    return float(2.0 ** np.ceil(np.log2(rounding_of(bounds))))
+    return grid_at(1e3 * rounding_of(bounds))
+
+
+def grid_at(tolerance: float) -> float:
+    """The grid of a workspace's vertices, a thousand times finer than its tolerance."""
+    return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
 def advice_on_cells(value: object) -> str:

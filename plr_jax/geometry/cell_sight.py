@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members, runs
 from plr_jax._types import Sources
+from plr_jax.geometry.boundary import grid_at
 from plr_jax.geometry.convex_pieces import (
     PartCorner,
     PartIndex,
@@ -40,9 +41,6 @@ from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
-_ROUNDING = 1e-3  # of a direction or a point, in tolerances of the workspace
-_LEAD = 1 / 128
-"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
 _CHUNK = 1 << 16  # pairs of a piece and a source that are tested together where there are many
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
@@ -77,29 +75,29 @@ class Shadows:
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
-        # 1. Unit vectors of the directions, from their pseudo-angles.
-        angle, (cx, cy) = table.key[row] - 4.0 * view, table.cut[view].T
-        x = np.where(angle <= 2, 1 - angle, angle - 3)
-        y = np.where(angle <= 2, 1, -1) * (1 - np.abs(x))
-        unit = np.stack([cx * x - cy * y, cx * y + cy * x], axis=1)
-        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-        # 2. Distances along each direction to the lines of the walls on both sides of it; 0 without a wall.
+        # 1. The directions, of vertices.
+        unit = table.boundary.vertices[table.vertex[row]] - table.points[view]
+        length = np.linalg.norm(unit, axis=1)
+        unit /= length[:, None]
+        # 2. Distances along each direction to the walls on both sides of it, which may end there; 0 without a wall.
         reach = []
         for edge in (table.edge[row - 1], table.edge[row]):
             normal = table.boundary.normal[edge]
             height = (normal * table.points[view]).sum(axis=1) - table.boundary.offset[edge]
             toward = -(normal * unit).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
-                reach.append(np.where(edge < 0, 0.0, np.maximum(height, 0) / np.maximum(toward, 0)))
+                at = np.where(edge < 0, 0.0, np.maximum(height, 0) / np.maximum(toward, 0))
+            ends = (table.boundary.edges[edge] == table.vertex[row, None]).any(axis=1) & (edge >= 0)
+            reach.append(np.where(ends, length, at))
         start, end = np.minimum(*reach), np.maximum(*reach)
-        long = np.flatnonzero(end - start > table.tolerance)
+        long = np.flatnonzero(end - start > grid_at(table.tolerance))
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(
         self, view: Int[np.ndarray, "pieces"], pieces: Pieces, center: Float[np.ndarray, "pieces 2"]
     ) -> tuple[OfPieces, OfPieces]:
         """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
-        point, tolerance = self.table.points[view], self.table.tolerance
+        point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. First and last key strictly inside each piece, and whether the cut lies between them.
         dx = pieces[0] - self.table.points[view, 0, None]
@@ -107,9 +105,8 @@ class Shadows:
         cx, cy = self.table.cut[view].T[:, :, None]
         key = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         distance = np.sqrt(dx * dx + dy * dy)
-        rounding = _ROUNDING * self.table.tolerance
-        blur = rounding / np.maximum(distance, rounding)
-        apart = distance > self.table.tolerance
+        blur = grid / np.maximum(distance, grid)
+        apart = distance > grid
         wraps = highest(np.where(apart, key, -np.inf)) - lowest(np.where(apart, key, np.inf)) > 2
         key += np.where(wraps[:, None] & (key < 2), 4.0, 0.0)
         first = lowest(np.where(apart, key + blur, np.inf))
@@ -117,7 +114,7 @@ class Shadows:
         beyond = np.where(first >= 4, 4.0, 0.0)
         first, last, wraps = first - beyond, last - beyond, wraps & (first < 4)
         # 2. Shadows whose directions lie strictly inside each piece that does not hold its viewpoint.
-        some = np.flatnonzero(~contain(pieces, point[:, None], tolerance)[:, 0])
+        some = np.flatnonzero(~contain(pieces, point[:, None], grid)[:, 0])
         again = some[wraps[some]]  # those on both sides of the cut are looked up twice
         begin = 4.0 * view[np.concatenate([some, again])]
         end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
@@ -440,7 +437,7 @@ class CellSources:
             self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
         )
         keep = np.isfinite(distance)[self.piece]
-        keep[rivals[lowest > np.where(by_best[piece], -_LEAD * self.sight.tolerance, 0.0)]] = False
+        keep[rivals[lowest > np.where(by_best[piece], -self.sight.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
 

@@ -25,7 +25,6 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # of a pseudo-angle
-_BESIDE = 1e-9  # of it, by which rounding may turn directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +197,7 @@ def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
-    for box in change.boxes(4 * table.tolerance):
+    for box in change.boxes(table.tolerance):
         rest = np.flatnonzero(~sees)
         sees[rest[may_see(table, rest, box)]] = True
     return sees
@@ -227,8 +226,8 @@ def may_see(
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
     of = view[number]
-    begin = np.searchsorted(table.key, _TURN * of + low - _BESIDE, side="right") - 1
-    end = np.searchsorted(table.key, _TURN * of + high + _BESIDE, side="right")
+    begin = np.searchsorted(table.key, _TURN * of + low - table.blur, side="right") - 1
+    end = np.searchsorted(table.key, _TURN * of + high + table.blur, side="right")
     begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
     run, place = runs(np.maximum(end - begin, 0))
     edge, number = table.edge[begin[run] + place], number[run]
@@ -255,10 +254,12 @@ def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
         points[place], cut[place] = table.points[which], table.cut[which]
         counts[place] = np.diff(table.first)[which]
     first = np.append(0, np.cumsum(counts))
-    key, edge = np.empty(first[-1]), np.empty(first[-1], parts[-1][0].edge.dtype)
+    key, edge, vertex = np.empty(first[-1]), *np.empty((2, first[-1]), parts[-1][0].edge.dtype)
     for table, which, place in parts:
         to, _ = run_members(first, place)
         row, run = run_members(table.first, which)
         key[to] = table.key[row] - _TURN * (which - place)[run]
-        edge[to] = np.append(change.edge, -1)[table.edge[row]] if table.boundary is change.old else table.edge[row]
-    return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge)
+        is_old = table.boundary is change.old
+        edge[to] = np.append(change.edge, -1)[table.edge[row]] if is_old else table.edge[row]
+        vertex[to] = np.append(change.vertex, -1)[table.vertex[row]] if is_old else table.vertex[row]
+    return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge, vertex)

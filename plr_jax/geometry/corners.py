@@ -9,13 +9,10 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, run_members
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.triangulation import Places, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
-
-_SLACK = 100
-"""Tolerances of the workspace by which a line may cut into a corner and still count as tangent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +63,14 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     """Reflex corners of free space and, where squeezing is allowed, point contacts; and the sectors they see."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
-    turns = boundary.is_reflex(1e-3 * workspace.tolerance) | np.isin(boundary.edges[:, 0], contacts)
+    turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
     vertex, owner = np.unique(boundary.edges[turns, 0], return_inverse=True)
     views = Viewpoints(boundary.vertices[vertex], owner, np.flatnonzero(turns))
     walls = np.empty((2, len(vertex), 2))
     walls[:, owner] = views.opens(boundary), views.closes(boundary)
     walls /= np.linalg.norm(walls, axis=2, keepdims=True)
     walls[:, np.isin(vertex, contacts)] = 0.0
-    return ReflexCorners(views.points, walls, _SLACK * workspace.tolerance), views
+    return ReflexCorners(views.points, walls, workspace.tolerance), views
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +192,16 @@ def find_turn_points(
     vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
-    norm = np.linalg.norm(onward, axis=1, keepdims=True)
-    onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
     onward[(opens == 0).all(axis=1)] = 0.0
     # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it is to
     # the left of the way onward, the path comes around the opening wall, else around the closing one.
     on_left = cross_product(onward, opens + closes) > 0
     side = np.where(on_left, 1.0, -1.0)[:, None]
     wall = np.where(on_left[:, None], opens, closes)
+    straight_on_is_blocked = side[:, 0] * cross_product(onward, wall) < -vertices.slack
+    norm = np.linalg.norm(onward, axis=1, keepdims=True)
+    onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
     normal = np.stack([side * turned_left(onward), side * turned_left(wall)])
-    straight_on_is_blocked = (normal[0] * wall).sum(axis=1) < -1e-9
     useful = np.flatnonzero(~straight_on_is_blocked)
     vertex = vertex[useful]
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)
@@ -216,7 +213,6 @@ def find_turn_points(
 
 
 _PAIRS = 1 << 18  # of a point and a turn point, held at a time
-_NEAR = 4.0  # tolerances from a side of a triangle, within which a point counts as on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +232,7 @@ class TurnRegions:
     turn: Int[np.ndarray, "entries"]
 
     def first_visible(
-        self, x: Float[np.ndarray, "n 2"], sees: Sees
+        self, x: Float[np.ndarray, "n 2"], places: Places, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """The vertex that the shortest path from each point goes to first, and the length of this path.
 
@@ -244,13 +240,14 @@ class TurnRegions:
 
         Args:
             x: Points of free space, ``(n, 2)``.
+            places: Where they are.
             sees: Whether points, by their numbers, see vertices.
 
         Returns:
             The vertices, -1 for points that see none, and the lengths, ``inf`` for these; ``(n,)`` each.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
-        point, first, triangle = triangles_at(self.triangulation, x)
+        point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
         counts = np.diff(entries)
         for part in parts(counts, _PAIRS):
@@ -280,22 +277,15 @@ def views_by_triangle(
 
 
 def triangles_at(
-    triangulation: Triangulation, x: Float[np.ndarray, "n 2"]
+    triangulation: Triangulation, places: Places
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
     """Points, the first of each one's triangles and the number of these, and the one or two that hold each.
 
     Points at vertices are left out.
     """
-    locator, near = triangulation.locator, _NEAR * triangulation.tolerance
-    triangle = locator.find(x)
-    point = np.flatnonzero(triangle >= 0)
-    on_side = locator.heights(triangle[point], x[point]) < near
-    num_sides, side = on_side.sum(axis=1), on_side.argmax(axis=1)
-    beyond = triangulation.twin[3 * triangle[point] + side] // 3
-    crossed = (num_sides == 1) & (beyond >= 0)
-    # Where the triangle beyond is thinner than that, there may be more.
-    crossed[crossed] = (locator.heights(beyond[crossed], x[point[crossed]]) < near).sum(axis=1) == 1
-    held = (num_sides == 0) | ((num_sides == 1) & (beyond < 0)) | crossed
-    counts = np.where(crossed, 2, 1)[held]
-    both = np.stack([triangle[point], beyond], axis=1)[held]
-    return point[held], np.append(0, np.cumsum(counts)), both[np.arange(2) < counts[:, None]]
+    num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
+    beyond = triangulation.twin[3 * places.triangle + side] // 3
+    held = num_sides < 2
+    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[held]
+    both = np.stack([places.triangle, beyond], axis=1)[held]
+    return np.flatnonzero(held), np.append(0, np.cumsum(counts)), both[np.arange(2) < counts[:, None]]

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import found
-from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.vectors import cross_product, left_normal
+from plr_jax._arrays import found, run_members
+from plr_jax.geometry.boundary import Boundary, grid_at
+from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 # Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
 
@@ -42,8 +42,11 @@ class Locator:
     triangle: Int[np.ndarray, "entries"]
     lines: Float[np.ndarray, "triangles 3 3"]
 
-    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
-        """The triangle that holds each point, or that it is nearest to of those that meet its cell; else -1."""
+    def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The triangle that holds each point, or that it is nearest to of those that meet its cell, else -1.
+
+        And how far inside of all of its sides the point lies.
+        """
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -57,7 +60,7 @@ class Locator:
             found[pending[better]], best[pending[better]] = triangle[better], height[better]
             outside = height < 0
             pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
-        return found
+        return found, best
 
     def heights(self, triangle: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """How far inside of each side of a triangle a point lies."""
@@ -66,8 +69,28 @@ class Locator:
 
 
 _FEW = 4  # points
+_MOST_STEPS = 100  # from triangle to triangle, of which one or two are needed
+_STEPS_INSIDE = 0, 1, 2, 4  # of the grid, from the foot of a point outside
 _BITS = 46
 """Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Points of free space as geometry knows them.
+
+    Args:
+        x: The points, multiples of the grid.
+        triangle: A triangle that holds each.
+        on_side: Which sides of it the point lies on: two or three if it is a vertex.
+    """
+
+    x: Float[np.ndarray, "n 2"]
+    triangle: Int[np.ndarray, "n"]
+    on_side: Bool[np.ndarray, "n 3"]
+
+    def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "Places":
+        return Places(self.x[rows], self.triangle[rows], self.on_side[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,17 +142,130 @@ class Triangulation:
             lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
         )
 
-    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
-        """The triangle that holds each point: of a few, before there is a locator, by looking at all triangles."""
-        if len(x) > _FEW or "locator" in self.__dict__:
-            return self.locator.find(x)
-        sides = np.roll(self.triangles, -1, axis=1) - self.triangles
-        return np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
+    @cached_property
+    def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
+        """Which corners of triangles are points in which the region touches itself."""
+        return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
+
+    @cached_property
+    def grid(self) -> float:
+        """Vertices are multiples of it, and so are points before anything is asked of them."""
+        return grid_at(self.tolerance)
+
+    def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Points, rounded to the grid."""
+        return self.grid * np.rint(x / self.grid)
+
+    def locate(
+        self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+        """The triangle that holds each point of the grid, and whether it is left (1) of each side, or on it (0).
+
+        Of a point outside of the region a triangle beside it, and -1 for the wall between.
+
+        Args:
+            x: The points.
+            triangle: Where they may be.
+        """
+        turn, pending = np.ones((len(x), 3)), np.arange(len(x))
+        if triangle is not None:
+            triangle = triangle.copy()
+        elif len(x) > _FEW or "locator" in self.__dict__:
+            triangle, height = self.locator.find(x)
+            pending = np.flatnonzero(height <= self.tolerance)
+        else:  # before there is a locator, by a look at all triangles
+            sides = np.roll(self.triangles, -1, axis=1) - self.triangles
+            triangle = np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
+        for _ in range(_MOST_STEPS):
+            corners = self.triangles[triangle[pending]]
+            sides = np.roll(corners, -1, axis=1) - corners
+            away = x[pending, None] - corners
+            turn[pending] = np.sign(orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1]))
+            # On through a side of which the point is on the other side, and which is no wall.
+            twin = self.twin.reshape(-1, 3)[triangle[pending]]
+            side = np.where(twin >= 0, turn[pending], 0).argmin(axis=1)
+            outside = turn[pending, side] < 0
+            outside &= twin[np.arange(len(pending)), side] >= 0
+            pending, twin, side = pending[outside], twin[outside], side[outside]
+            if not len(pending):
+                break
+            triangle[pending] = twin[np.arange(len(pending)), side] // 3
+        return triangle, turn
+
+    def place(self, x: Float[np.ndarray, "n 2"]) -> "Places":
+        """Where points of free space are: on the grid, and on the nearest wall those that are free to the tolerance.
+
+        A point as near to a point contact is that, so that it is on all of its sides.
+        """
+        boundary, given, x = self.boundary, x, self.on_grid(x)
+        triangle, turn = self.locate(x)
+        outside = np.flatnonzero((turn < 0).any(axis=1))
+        if len(outside):
+            # The foot on the nearest wall, or as near to it inside as the grid has a point.
+            points: Any = shapely.points(given[outside])
+            edge = boundary.tree.query_nearest(points, all_matches=False)[1]
+            lines: Any = boundary.tree.geometries[edge]
+            foot = shapely.get_coordinates(
+                shapely.line_interpolate_point(lines, shapely.line_locate_point(lines, points))
+            )
+            beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
+            triangle[outside], turn[outside], rest = beside, 0.0, np.arange(len(outside))
+            for steps in _STEPS_INSIDE:
+                place = self.on_grid(foot[rest] + steps * self.grid * boundary.normal[edge[rest]])
+                in_triangle, turns = self.locate(place, beside[rest])
+                inside = (turns >= 0).all(axis=1)
+                now, rest = outside[rest[inside]], rest[~inside]
+                x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
+        if len(boundary.contacts):
+            away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
+            away[~self.is_contact[triangle]] = np.inf
+            near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
+            x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
+        return Places(x, triangle, turn == 0)
+
+    def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
+        """Whether free paths join points that keep within a tolerance of the segment between them.
+
+        Args:
+            a: Where the segments start.
+            b: Where they end.
+            tolerance: The tolerance.
+            squeeze: Whether a path may pass through a point in which the region touches itself.
+        """
+        # From triangle to triangle through sides that come within the tolerance of the segment, and around contacts.
+        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
+        contacts = found(self.boundary.contacts, self.origin)
+        around = np.argsort(contacts, kind="stable")  # half-edges from contacts, contact by contact
+        first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
+        before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
+        while len(keys):
+            pair, triangle = np.divmod(keys, num)
+            joined[pair[triangle == b.triangle[pair]]] = True
+            pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
+            corners, segment = self.triangles[triangle], segments[pair, None]
+            sides = _lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
+            twin, contact = (each.reshape(-1, 3)[triangle] for each in (self.twin, contacts))
+            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segment, sides, tolerance))
+            onward = pair[row] * np.int64(num) + twin[row, side] // 3
+            if len(self.boundary.contacts):
+                is_end = (corners == a.x[pair, None]).all(axis=2) | (corners == b.x[pair, None]).all(axis=2)
+                row, side = np.nonzero((contact >= 0) & (squeeze | is_end))
+                points: Any = shapely.points(corners[row, side])
+                near = shapely.dwithin(segments[pair[row]], points, tolerance)
+                row, side = row[near], side[near]
+                half_edge, of = run_members(first, contact[row, side])
+                onward = np.append(onward, pair[row[of]] * np.int64(num) + around[half_edge] // 3)
+            before, keys = keys, np.setdiff1d(onward, np.concatenate([before, keys]))
+        return joined
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         """The corners of each triangle, counterclockwise."""
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
+
+
+def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
+    return shapely.linestrings(ends)
 
 
 def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -13,6 +13,32 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
+_SPLIT = 2.0**27 + 1
+_DOUBT = 2.0**-50  # share of two products by which rounding may disturb their difference, and more
+
+
+def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.ndarray, "*batch"]:
+    """The cross product of vectors, whose sign is exact where coordinates are whole multiples of a 2^-45th of them.
+
+    References:
+        Dekker, "A floating-point technique for extending the available precision" (1971).
+    """
+    p, q = ux * vy, uy * vx
+    result = np.asarray(p - q)
+    doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
+    if doubted.any():
+        a, b, c, d = (np.broadcast_to(each, result.shape)[doubted] for each in (ux, vy, uy, vx))
+        result[doubted] += _lost(a, b) - _lost(c, d)
+    return result
+
+
+def _lost(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """What rounding takes from the product of two numbers."""
+    high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
+    low_a, low_b = a - high_a, b - high_b
+    return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
+
+
 def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
     """Each vector after a quarter turn to the left."""
     return np.stack([-u[..., 1], u[..., 0]], axis=-1)

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.triangulation import Triangulation, after, before
-from plr_jax.geometry.vectors import pseudo_angle
+from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
 
 # Triangular expansion: what viewpoints see, found by going from triangle to triangle inside their cones of sight.
 #
@@ -23,14 +23,11 @@ from plr_jax.geometry.vectors import pseudo_angle
 # edge on, unless the corner lies outside. The cones of many viewpoints advance together, so that the cost follows
 # what is seen.
 #
-# A corner on a bound, to a tolerance, counts as seen but parts no cone: none is narrower than rounding can tell.
+# A corner on a bound counts as seen but parts no cone. This is exact, as vertices and viewpoints lie on a grid.
 
 
 _MOST = 1 << 18  # cones that advance at a time
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
-
-_BLUR = 0.01
-"""How far a vertex may have to move, in tolerances, to lie on a bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +35,8 @@ class Viewpoints:
     """Points and the sectors they look into.
 
     Args:
-        points: The points, ``(views, 2)``: inside of free space, or exactly on its boundary with sectors given.
+        points: The points, ``(views, 2)``, multiples of the grid of vertices: inside of free space, or exactly on its
+            boundary with sectors given.
         owner: The point of each sector, ``(sectors,)``. A point without sectors looks all around.
         edge: The edge of the boundary with which each sector opens, counterclockwise, ``(sectors,)``: one that leaves
             the vertex where the point lies, or the one inside of which it lies.
@@ -66,28 +64,52 @@ class Viewpoints:
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         """A vector from the point along the wall with which each sector closes."""
-        end = np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
-        return boundary.vertices[end] - self.points[self.owner]
+        return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
         """Whether the point of each sector is the first vertex of its edge."""
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
+    def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
+        """The vertex towards which each sector closes."""
+        return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
+
+
+def viewpoint_at(triangulation: Triangulation, x: Float[np.ndarray, "2"]) -> Viewpoints:
+    """A point of free space as a viewpoint."""
+    boundary, place = triangulation.boundary, triangulation.place(x[None])
+    edge = np.flatnonzero((boundary.vertices[boundary.edges[:, 0]] == place.x).all(axis=1))
+    if not len(edge):
+        wall = triangulation.wall[3 * place.triangle + place.on_side.argmax(axis=1)]
+        edge = wall[place.on_side.any(axis=1) & (wall >= 0)]
+    return Viewpoints(place.x, np.zeros(len(edge), int), edge)
+
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight: viewpoint, half-edge of the triangle they look out by, right and left bound as vectors."""
+    """Cones of sight: viewpoint, half-edge of the triangle they look out by, right and left bound as vectors.
+
+    Args:
+        vertex: The vertex in the direction of the right bound.
+    """
 
     view: Int[np.ndarray, "n"]
     half_edge: Int[np.ndarray, "n"]
+    vertex: Int[np.ndarray, "n"]
     right: Float[np.ndarray, "2 n"]
     left: Float[np.ndarray, "2 n"]
 
     def __len__(self) -> int:
         return len(self.view)
 
-    def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "_Cones":
-        return _Cones(self.view[rows], self.half_edge[rows], self.right[:, rows], self.left[:, rows])
+    def __getitem__(self, rows: slice) -> "_Cones":
+        of = self.view[rows], self.half_edge[rows], self.vertex[rows]
+        return _Cones(*of, self.right[:, rows], self.left[:, rows])
+
+    def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
+        """Some of the cones, in less time than by an index: NumPy is slow where rows of an array are long."""
+        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)
+        return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
 def triangles_within(
@@ -102,15 +124,18 @@ def triangles_within(
         left: That of its left bound, at most half a turn from there.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
+    # Rounded directions are those of a wider cone, unless that leaves less than half a turn in rounding's reach.
+    wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
+    right, left = far * right - wider[:, None] * turned_left(right), far * left + wider[:, None] * turned_left(left)
     # The part of each cone that lies in the cone of its viewpoint.
-    right, left, bounds = far * right[cones.view].T, far * left[cones.view].T, (cones.right, cones.left)
+    right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
     whole = ~right.any(axis=0)
     from_right = _inside(right, *bounds), _inside(cones.right, right, left)
     from_left = _inside(left, *bounds), _inside(cones.left, right, left)
     kept = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
     right = np.where(from_right[0] & ~whole, right, cones.right)
     left = np.where(from_left[0] & ~whole, left, cones.left)
-    first = _Cones(cones.view, cones.half_edge, right, left)[kept]
+    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(kept)
     visited = [np.stack([first.view, first.half_edge // 3])]
     visited += [new for _, _, new in _expansion(triangulation, views, first)]
     return np.concatenate(visited, axis=1)
@@ -120,7 +145,7 @@ def _inside(
     u: Float[np.ndarray, "2 n"], right: Float[np.ndarray, "2 n"], left: Float[np.ndarray, "2 n"]
 ) -> Bool[np.ndarray, "n"]:
     """Whether directions lie in closed cones of less than half a turn."""
-    return (right[0] * u[1] >= right[1] * u[0]) & (u[0] * left[1] >= u[1] * left[0])
+    return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
 def _expansion(
@@ -131,30 +156,29 @@ def _expansion(
     while pending:
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
-        walls, cones = cones[np.flatnonzero(is_wall)], cones[np.flatnonzero(~is_wall)]
+        walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
         # Of the next triangles, the corner ahead may be seen, and may part the cone.
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
         right_exit, left_exit = after(entry), before(entry)
         ahead = triangulation.origin[left_exit]
         x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
-        from_right, from_left = rx * y - ry * x, x * ly - y * lx
-        tolerance, squared = triangulation.tolerance, x * x + y * y
-        right_slack = tolerance * np.sqrt(np.maximum(squared, rx * rx + ry * ry))
-        left_slack = tolerance * np.sqrt(np.maximum(squared, lx * lx + ly * ly))
-        seen = (from_right >= -right_slack) & (from_left >= -left_slack)
-        goes_right, goes_left = from_right > _BLUR * right_slack, from_left > _BLUR * left_slack
+        from_right, from_left = orientation(rx, ry, x, y), orientation(x, y, lx, ly)
+        seen = (from_right >= 0) & (from_left >= 0)
+        goes_right, goes_left = from_right > 0, from_left > 0
         goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
         goes_left |= ~goes_right
         parted = goes_right & goes_left
-        middle = np.stack([x, y])
         right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
-        onward = _Cones(
-            np.concatenate([view[right], view[left]]),
-            np.concatenate([right_exit[right], left_exit[left]]),
-            np.concatenate([cones.right[:, right], np.where(parted, middle, cones.right)[:, left]], axis=1),
-            np.concatenate([np.where(parted, middle, cones.left)[:, right], cones.left[:, left]], axis=1),
-        )
+        onward = cones.take(np.concatenate([right, left]))
+        onward.half_edge[:] = np.concatenate([right_exit.take(right), left_exit.take(left)])
+        # The corner ahead is the left bound of the right part, and the right bound of the left one.
+        of_right, of_left = np.flatnonzero(parted.take(right)), np.flatnonzero(parted.take(left))
+        middle, of_left = left.take(of_left), of_left + len(right)
+        onward.vertex[of_left] = ahead.take(middle)
+        for axis, along in enumerate((x, y)):
+            onward.right[axis, of_left] = along.take(middle)
+            onward.left[axis, of_right] = along.take(right.take(of_right))
         pending += [onward[begin : begin + _MOST] for begin in range(0, len(onward), _MOST)]
         yield walls, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
 
@@ -162,7 +186,7 @@ def _expansion(
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     """Cones that look out of the triangles at the viewpoints."""
     around = np.flatnonzero(views.looks_around)
-    triangle = triangulation.find(views.points[around])
+    triangle, _ = triangulation.locate(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
     at_vertex = views.at_vertex(triangulation.boundary)
@@ -175,10 +199,12 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*found, strict=True))
     right, left = triangulation.origin[half_edge], triangulation.origin[after(half_edge)]
     vertices, points = triangulation.boundary.vertices, views.points[view]
-    return _Cones(view, half_edge, (vertices[right] - points).T, (vertices[left] - points).T)
+    return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
 _VIEWS = 1 << 12  # that look around at a time
+_BLUR = 1e-14  # of a pseudo-angle
+_NARROW = 1e-3  # radians between sectors, in which there is room for a cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +216,13 @@ class VisibilityTable:
 
     Args:
         boundary: The boundary of free space, whose edges the rows name.
-        tolerance: How far behind an edge a point still counts as free.
+        tolerance: That of the workspace. Vertices, viewpoints, and points that are asked for, lie on its grid.
         points: The viewpoints, ``(views, 2)``.
         cut: Unit vector from which the directions of each viewpoint are measured, ``(views, 2)``.
         first: First row of each viewpoint, and the number of rows, ``(views + 1,)``.
         key: ``4 v`` plus the pseudo-angle at which the row's interval starts, ascending, ``(rows,)``.
         edge: The nearest edge in the interval; -1 where the viewpoint does not look, ``(rows,)``.
+        vertex: The vertex in whose direction the interval starts; -1 at the cut, ``(rows,)``.
     """
 
     boundary: Boundary
@@ -205,48 +232,63 @@ class VisibilityTable:
     first: Int[np.ndarray, "views+1"]
     key: Float[np.ndarray, "rows"]
     edge: Int[np.ndarray, "rows"]
+    vertex: Int[np.ndarray, "rows"]
+
+    @property
+    def blur(self) -> float:
+        """By how much rounding may disturb keys, and more."""
+        return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
+        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free.
 
         A segment that grazes several corners may be reported as not seen; it is seen from the last of them.
         """
+        grid = grid_at(self.tolerance)
+        x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T
         cx, cy = self.cut[v].T
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
-        seen = self._in_front(row, v, x)
-        rest = np.flatnonzero(~seen)
-        if not rest.size:
-            return seen
-        # Of the others some are the viewpoint itself, or within rounding of a neighboring interval and seen there.
-        v, x, row, key, distance = v[rest], x[rest], row[rest], key[rest], np.hypot(dx[rest], dy[rest])
-        seen[rest] = distance <= self.tolerance
-        slack = self.tolerance / np.maximum(distance, self.tolerance)
-        before, after = np.maximum(row - 1, self.first[v]), np.minimum(row + 1, self.first[v + 1] - 1)
-        for neighbor, gap in ((before, key - self.key[row]), (after, self.key[after] - key)):
-            near = np.flatnonzero((gap <= slack) & (neighbor != row))
-            seen[rest[near]] |= self._in_front(neighbor[near], v[near], x[near])
+        seen = self._in_front(row, x)
+        apart = np.abs(self.key[[row, np.minimum(row + 1, len(self.key) - 1)]] - key).min(axis=0)
+        if len(near := np.flatnonzero(apart <= self.blur)):
+            # The interval that holds the direction, exactly; the one before as well if it is the direction between.
+            row, v, x, key = row[near], v[near], x[near], key[near]
+            while (ahead := self._side_of_start(row + 1, v, x, key) >= 0).any():
+                row += ahead
+            while (behind := (side := self._side_of_start(row, v, x, key)) < 0).any():
+                row -= behind
+            seen[near] = self._in_front(row, x) | ((side == 0) & self._in_front(row - 1, x))
+            seen[near] |= (x == self.points[v]).all(axis=1)
         return seen
 
-    def _in_front(
-        self, row: Int[np.ndarray, "n"], v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether points are in front of the edges of intervals, and not on their lines beyond where they end."""
+    def _side_of_start(
+        self,
+        row: Int[np.ndarray, "n"],
+        v: Int[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        key: Float[np.ndarray, "n"],
+    ) -> Float[np.ndarray, "n"]:
+        """Positive where directions to points, of some keys, are left of the start of an interval; 0 where on it."""
+        inside = (row > self.first[v]) & (row < self.first[v + 1])
+        side = np.where(row > self.first[v], -1.0, 1.0)
+        side[inside] = key[inside] - self.key[row[inside]]
+        near = np.flatnonzero(inside & (np.abs(side) <= self.blur))
+        start = self.boundary.vertices[self.vertex[row[near]]]
+        side[near] = orientation(*(start - self.points[v[near]]).T, *(x[near] - self.points[v[near]]).T)
+        return side
+
+    def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are in front of the edges of intervals, or on them."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
-        seen = (height >= -self.tolerance) & (edge >= 0)
-        on_line = np.flatnonzero(seen & (height <= self.tolerance))
-        if on_line.size:
-            x, view, ends = x[on_line], self.points[v[on_line]], self.boundary.segments[edge[on_line]]
-            along = ends[:, 1] - ends[:, 0]
-            along /= np.linalg.norm(along, axis=1, keepdims=True)
-            distance = np.linalg.norm(x - view, axis=1) - self.tolerance
-            for end, outward in ((ends[:, 0], -along), (ends[:, 1], along)):
-                is_beyond = ((x - end) * outward).sum(axis=1) > self.tolerance
-                seen[on_line[is_beyond & (distance > np.linalg.norm(end - view, axis=1))]] = False
-        return seen
+        near = np.flatnonzero(np.abs(height) <= self.tolerance)
+        if len(near):
+            start, end = self.boundary.segments[edge[near]].transpose(1, 2, 0)
+            height[near] = orientation(*(end - start), *(x[near].T - start))
+        return (height >= 0) & (edge >= 0)
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
@@ -255,11 +297,13 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
     rows = np.cumsum([0] + [len(table.key) for table in tables])
     first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
     key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
-    points, cut, edge = (
-        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge")
+    points, cut, edge, vertex = (
+        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge", "vertex")
     )
     first = np.append(np.concatenate(first), rows[-1])
-    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge)
+    return VisibilityTable(
+        tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge, vertex
+    )
 
 
 def visibility_of(
@@ -291,23 +335,28 @@ def _look_around(
     for walls, new_seen, _ in _expansion(triangulation, views, cones):
         ended.append(walls)
         seen.append(new_seen)
-    columns = zip(*((of.view, of.half_edge, of.right, of.left) for of in ended), strict=True)
+    columns = zip(*((of.view, of.half_edge, of.vertex, of.right, of.left) for of in ended), strict=True)
     cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
     # 2. For each viewpoint a direction in which it sees no vertex. Of one with sectors the middle between the end of
-    #    its first one and the start of the next, of any other the middle of the widest cone.
+    #    its first one and the start of the next; of any other, or if that is narrow, the middle of the widest cone.
     closing = views.closes(boundary)
     opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
     order = np.lexsort((opens, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
     second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
     end = closes[order[first]]
-    angle = np.empty(len(each))
-    angle[owner] = end + (opens[order[second]] - end) % (2 * np.pi) / 2
-    for view in np.flatnonzero(views.looks_around):
-        dx, dy = cones.right[:, cones.view == view]
-        directions = np.sort(np.arctan2(dy, dx))
-        gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
-        angle[view] = directions[gaps.argmax()] + gaps.max() / 2
+    angle, between = np.empty(len(each)), np.zeros(len(each))
+    between[owner] = (opens[order[second]] - end) % (2 * np.pi)
+    angle[owner] = end + between[owner] / 2
+    u, v = closing[order[first]], views.opens(boundary)[order[second]]
+    narrow = between < _NARROW
+    narrow[owner] |= (between[owner] > 2 * np.pi - _NARROW) & (orientation(*u.T, *v.T) > 0)
+    for view in np.flatnonzero(narrow):
+        some = cones.view == view
+        (rx, ry), (lx, ly) = cones.right[:, some], cones.left[:, some]
+        width = np.arctan2(np.abs(orientation(rx, ry, lx, ly)), rx * lx + ry * ly)
+        widest = width.argmax()
+        angle[view] = np.arctan2(ry[widest], rx[widest]) + width[widest] / 2
     cut = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     # 3. Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on, where a
     #    viewpoint sees what it does at the end of the turn.
@@ -315,11 +364,25 @@ def _look_around(
     (dx, dy), (cx, cy) = np.concatenate([cones.right, closing.T], axis=1), cut[view].T
     key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
     edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
+    vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
     order = np.argsort(key)
-    view, key, edge = view[order], key[order], edge[order]
+    # Directions that rounding does not tell apart are put in order exactly.
+    close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(each))
+    near = np.flatnonzero(close)
+    while len(near):
+        a, b = order[near], order[near + 1]
+        near = near[(view[a] == view[b]) & (orientation(dx[a], dy[a], dx[b], dy[b]) < 0)]
+        near = near[np.append(True, np.diff(near) > 1)[: len(near)]]
+        order[near], order[near + 1] = order[near + 1], order[near]
+        near = np.unique(np.concatenate([near - 1, near, near + 1]))
+        near = near[close[near] & (near >= 0)]
+    view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]
     first, last = np.searchsorted(view, each), np.searchsorted(view, each, side="right") - 1
-    view, key, edge = (np.insert(a, first, b) for a, b in ((view, each), (key, 4.0 * each), (edge, edge[last])))
+    added = (view, each), (key, 4.0 * each), (edge, edge[last]), (vertex, np.full(len(each), -1))
+    view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
     new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
     first = np.searchsorted(view[new], np.arange(len(each) + 1))
-    table = VisibilityTable(boundary, triangulation.tolerance, views.points, cut, first, key[new], edge[new])
+    table = VisibilityTable(
+        boundary, triangulation.tolerance, views.points, cut, first, key[new], edge[new], vertex[new]
+    )
     return table, np.concatenate(seen, axis=1)

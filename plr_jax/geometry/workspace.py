@@ -24,7 +24,6 @@ from plr_jax.geometry.boundary import (
     Boundary,
     Region,
     advice_on_cells,
-    are_crossed,
     as_bounds,
     as_polygon,
     as_polygons,
@@ -37,7 +36,6 @@ from plr_jax.geometry.boundary import (
     region_after,
     region_of,
     rounding_of,
-    thin_walls,
     triangulate,
 )
 from plr_jax.geometry.box import Box
@@ -54,10 +52,12 @@ class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
-    ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
-    interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
-    that what touches up to rounding touches. Walls and gaps thinner than a hundredth of ``tolerance`` vanish, and
-    where several meet, those thinner than a quarter of it may; far from the origin, than twice of it.
+    ``tolerance`` of them: such a point is taken to be the nearest one of free space, and one as near to a point in
+    which obstacles touch to be that point, on both of its sides. Obstacles may overlap, touch, and leave the bounds;
+    together they cover the interior of their union. Coordinates are rounded to a grid a thousand times finer than
+    ``tolerance``, so that what touches up to rounding touches. Walls and gaps thinner than a hundredth of
+    ``tolerance`` vanish, and where several meet, those thinner than a quarter of it may; far from the origin, than
+    twice of it.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -225,15 +225,10 @@ class Workspace:
         """The boundary of free space as Shapely lines, prepared for many queries."""
         return prepared(self, "walls", lambda: self.free_space.boundary)
 
-    @cached_property
+    @property
     def edge_tree(self) -> shapely.STRtree:
         """The edges of ``boundary``, in their order, as Shapely lines in a tree."""
-        segments: Any = shapely.linestrings(self.boundary.segments)
-        return shapely.STRtree(segments)
-
-    @cached_property
-    def _thin_walls(self) -> Float[np.ndarray, "walls 3 2"]:
-        return thin_walls(self.boundary, self.edge_tree, self.tolerance)
+        return self.boundary.tree
 
     @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
@@ -296,11 +291,10 @@ class Workspace:
             a: Start points, ``(n, 2)``.
             b: End points, ``(n, 2)``.
             tolerance: How far outside free space points still count as free, for ends that are known no better, such
-                as those that a file rounds; None: the workspace's own. Walls thinner than twice a larger one may be
-                crossed.
+                as those that a file rounds; None: the workspace's own.
 
         Returns:
-            True where every point of the segment is free (to ``tolerance``); False where an end is not
+            True where a path in free space keeps within ``tolerance`` of the segment; False where an end is not
             finite.
 
         Raises:
@@ -313,14 +307,20 @@ class Workspace:
         free = self._grown(tolerance)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
-        segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
-        visible[moving] = shapely.covers(free, segments)
-        if len(self._thin_walls):
-            moving = moving[visible[moving]]
-            visible[moving] = ~are_crossed(self._thin_walls, a[moving], b[moving], tolerance)
-        if not self.squeeze and len(self.boundary.contacts):
-            moving = moving[visible[moving]]
-            visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)
+        segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
+        visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
+        # What leaves free space, or comes near to a contact, is looked at again: free space that is grown has no thin
+        # walls, and paths through contacts.
+        kept = visible[moving]
+        moving, segments = moving[kept], segments[kept]
+        own = prepared(self, "free", lambda: shapely.transform(self.free_space, np.copy))
+        doubted = ~shapely.covers(own, segments)
+        if len(contacts := self.boundary.contacts):
+            points: Any = shapely.points(self.boundary.vertices[contacts])
+            doubted[shapely.STRtree(points).query(segments, predicate="dwithin", distance=tolerance)[0]] = True
+        if len(moving := moving[doubted]):
+            mesh = self.triangulation
+            visible[moving] = mesh.are_joined(mesh.place(a[moving]), mesh.place(b[moving]), tolerance, self.squeeze)
         return visible
 
     def inflate(self, radius: float) -> "Workspace":

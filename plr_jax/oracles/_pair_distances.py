@@ -159,15 +159,19 @@ class PairDistances:
         _, index, number = np.unique(_ordered(x), return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._regions
+        places = self.workspace.triangulation.place(points)
         point, corner = np.repeat(np.arange(len(points)), counts), listed[run_members(begins, runs)[0]]
-        kept = self.visibility.corners.is_tangent_to(corner, points[point])
-        kept[kept] = self.visibility.table.sees(corner[kept], points[point[kept]])
+        kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
+        kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
         leg = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
         return _Lists(np.append(0, np.cumsum(counts)), corner, leg).where(kept).of(number)
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
         """How many corners see some of the triangles at each point, and the runs that these are, point by point."""
-        begins, (held, first, triangle) = self._regions[0], triangles_at(self.workspace.triangulation, x)
+        begins, (held, first, triangle) = (
+            self._regions[0],
+            triangles_at(self.workspace.triangulation, self.workspace.triangulation.place(x)),
+        )
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
         num_runs[held], in_triangle[held] = np.diff(first), True
         point = np.repeat(np.arange(len(x)), num_runs)

@@ -6,19 +6,16 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
 from plr_jax._arrays import found as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
-from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see
-from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -29,11 +26,10 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, triangles_within, visibility_of
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-_LOST = 1e-6  # share of free space that rounding may lose
 _ROUNDING = 1e-12  # of the largest distance, by which changes may differ and are one
 
 
@@ -91,17 +87,18 @@ class VisibilityGraph:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         if goal_view is None:
-            view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-            goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+            goal_table, (_, seen) = visibility_of(
+                workspace.triangulation, viewpoint_at(workspace.triangulation, goal)
+            )
             goal_view = goal_table, corners.of_vertex[seen]
         # The goal, vertex 0, is joined to the corners that it sees and that see it.
-        corner = np.setdiff1d(goal_view[1], [-1])
-        corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
+        corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
+        corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
         set_fields(self, _goal_table=goal_view[0], _goal_edges=edges)
         distances, parents = dijkstra(self.graph, 0)
-        turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
+        turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
@@ -143,7 +140,7 @@ class VisibilityGraph:
             if (triangulation := changed_triangulation(own.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
             workspace.use_triangulation(triangulation)
-        view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+        view = viewpoint_at(workspace.triangulation, goal)
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
@@ -190,25 +187,8 @@ class VisibilityGraph:
 
         Returns:
             The pieces of free space in the box from which the goal can be reached, and their sources.
-
-        Raises:
-            ValueError: If not all of the free space around the goal is such: corners nearer to one another than the
-                workspace's tolerance may hide it.
         """
-        found = self.sources_of_boxes(domain.lo[None], domain.hi[None])
-        around: Any = shapely.get_parts(self.workspace.free_space)
-        around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
-        # Not clip_by_rect, which errs where edges end on sides of the box.
-        around = shapely.intersection(around, shapely.box(*domain.lo, *domain.hi))
-        area, outline = float(shapely.area(around).sum()), float(shapely.length(around).sum())
-        rounded = _LOST * area + self.workspace.tolerance * outline
-        if (reached := float(areas(found.pieces).sum())) < area - rounded:
-            raise ValueError(
-                f"The goal is found to be reached from {reached / area:.3g} of the free space that it lies in: where "
-                "obstacles all but touch, corners are nearer to one another than the workspace's tolerance, "
-                f"{self.workspace.tolerance:g}. Simplify the obstacles, or join them there."
-            )
-        return found
+        return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
         """As :meth:`cell_sources`, of boxes as cells, whatever they are parts of.
@@ -356,12 +336,19 @@ class VisibilityGraph:
         """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
-        seen, hidden = free[direct], x[free[~direct]]
+        mesh, sees = self.workspace.triangulation, self._corners.table.sees
+        # Few points are moved into free space: of these it is asked again what the goal sees.
+        grid = mesh.on_grid(x[free])
+        direct = self._goal_table.sees(np.zeros(len(free), int), grid)
+        if len(rest := np.flatnonzero(~direct)):
+            places = mesh.place(x[free[rest]])
+            if (moved := (places.x != grid[rest]).any(axis=1)).any():
+                direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
+            places, hidden = places[~direct[rest]], free[~direct]
+            ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
+            turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
+        seen = free[direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        sees = self._corners.table.sees
-        ways = self.regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
-        turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 
@@ -380,29 +367,11 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     return goal
 
 
-def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"]) -> Viewpoints:
-    """The goal as a viewpoint, moved exactly onto the vertex or edge it lies on to within tolerance."""
-    to_vertex = np.linalg.norm(boundary.vertices - goal, axis=1)
-    if to_vertex.min() <= tolerance:
-        vertex = to_vertex.argmin()
-        edge = np.flatnonzero(boundary.edges[:, 0] == vertex)
-        return Viewpoints(boundary.vertices[[vertex]], np.zeros(len(edge), int), edge)
-    start, end = boundary.segments.transpose(1, 0, 2)
-    share = ((goal - start) * (end - start)).sum(axis=1) / ((end - start) ** 2).sum(axis=1)
-    foot = start + np.clip(share, 0, 1)[:, None] * (end - start)
-    to_edge = np.linalg.norm(goal - foot, axis=1)
-    near = to_edge.argmin()
-    if to_edge[near] <= tolerance:
-        return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
-    none = np.empty(0, int)
-    return Viewpoints(goal[None], none, none)
-
-
 def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:
     """What of the distances to a goal has changed from one oracle of it to another."""
     change = Change.between(before.workspace.boundary, after.workspace.boundary)
     old, new = before.workspace.triangulation, after.workspace.triangulation
-    boxes = change.boxes(4 * old.tolerance)
+    boxes = change.boxes(old.tolerance)
     rounding = _ROUNDING * float(before.distances[np.isfinite(before.distances)].max(initial=0.0))
     # 1. Which source afterwards each was before, the goal or a corner, and by how much its distance changed.
     vertex = np.empty(len(before.family.corners.points), int)

@@ -50,13 +50,25 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
     check_pairs_of_points(kind, seed, squeeze, lambda workspace: triangulate(workspace.free_space))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="Points about a tolerance from a wall are judged differently: an issue of tolerances, to be mended next.",
-)
 def test_pieces_of_the_triangulation_of_a_workspace_are_seen_as_one_pair_of_points_at_a_time_is():
     check_pairs_of_points(fan_workspace, 2216, False, lambda workspace: workspace.triangulation.triangles)
+
+
+@given(st.floats(0.1, 1.4), st.floats(0, 1e-3))
+def test_what_is_seen_of_all_of_a_piece_is_seen_beside_its_corners(turn, gap):
+    """Sights along walls that are collinear but for rounding, to a sharp gap between the first one and the bounds."""
+    along = 0.2 * np.array([np.cos(turn), -np.sin(turn)])
+    below, start = np.array([along[1], -along[0]]), np.array([gap, 0.63])
+    cell = np.array([0 * along, along, along + below, below])
+    workspace = Workspace(((0, 0), (1, 1)), [start + cell, start + 2 * along + cell])
+    shadows, pieces = shadows_around(workspace), as_pieces(workspace.triangulation.triangles)
+    view, piece = (each.ravel() for each in np.indices((len(shadows.table.points), pieces.shape[1])))
+    center = pieces.mean(axis=2).T
+    seen, is_whole = shadows.see(view, pieces[:, piece], center[piece])
+    view, piece = view[seen & is_whole], piece[seen & is_whole]
+    for corner in pieces[:, piece].transpose(2, 1, 0)[:3]:
+        x = corner + 1e-6 * (center[piece] - corner)
+        assert shadows.table.sees(view, x).all()
 
 
 def check_pairs_of_points(kind, seed, squeeze, triangles_of):

@@ -1,3 +1,5 @@
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import shapely
@@ -56,9 +58,41 @@ def test_free_space_is_filled_between_its_walls_and_points_are_found_in_the_tria
     check(workspace)
     mesh, x = workspace.triangulation, workspace.sample_free(200, seed)
     x = np.concatenate([x, mesh.triangles.mean(axis=1), workspace.boundary.vertices])
-    triangle = mesh.locator.find(x)
+    triangle, _ = mesh.locator.find(x)
     held = shapely.dwithin(shapely.polygons(mesh.triangles)[triangle], shapely.points(x), workspace.tolerance)
     assert (triangle >= 0).all() and held.all()
+
+
+@given(SEEDS, st.sampled_from([0.0, 0.3, 1.0]))
+def test_points_about_a_tolerance_from_walls_are_placed_in_a_triangle_that_holds_them_exactly(seed, turn):
+    workspace, rng = lattice_workspace(seed, turn), np.random.default_rng(seed)
+    mesh, tolerance = workspace.triangulation, workspace.tolerance
+    edge = rng.integers(len(workspace.boundary.edges), size=40)
+    start, end = workspace.boundary.segments[edge].transpose(1, 0, 2)
+    share, height = rng.choice([0, 1e-10, 0.5, 1], (40, 1)), rng.choice([-0.99, -0.5, 0, 0.5, 2], (40, 1))
+    x = start + share * (end - start) + height * tolerance * workspace.boundary.normal[edge]
+    places = mesh.place(x)
+    assert (np.linalg.norm(places.x - x, axis=1) <= 1.01 * tolerance).all()
+    for (px, py), corners, on_side in zip(
+        places.x.tolist(), mesh.triangles[places.triangle].tolist(), places.on_side.tolist(), strict=True
+    ):
+        px, py = Fraction(px), Fraction(py)
+        for k in range(3):
+            (ax, ay), (bx, by) = (map(Fraction, corners[i % 3]) for i in (k, k + 1))
+            turns = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+            assert turns > 0 or (turns == 0 and on_side[k])
+
+
+def test_a_point_within_the_tolerance_of_a_contact_is_the_contact():
+    workspace = Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)])
+    mesh, near = workspace.triangulation, workspace.tolerance * np.array([[0.5, -0.5], [-0.9, 0.1], [3, -3]])
+    places = mesh.place(np.array([5.0, 5.0]) + near)
+    assert (places.x == 5).all(axis=1).tolist() == [True, True, False]
+    across = mesh.place(np.array([[6.0, 4.0], [4.0, 6.0]]))
+    squeezes = [mesh.are_joined(across[:1], across[1:], workspace.tolerance, squeeze)[0] for squeeze in (False, True)]
+    assert squeezes == [False, True]
+    for row in range(2):  # the contact is reached from either side
+        assert mesh.are_joined(places[:1], across[[row]], workspace.tolerance, False)[0]
 
 
 def nearly_degenerate(seed):

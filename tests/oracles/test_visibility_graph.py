@@ -282,6 +282,34 @@ def test_no_wall_is_seen_through_along_the_wall_it_stands_on(thickness, height):
     np.testing.assert_allclose(low(np.array([[far, 0.0]])), np.hypot(0.4, 0.2 - height) + thickness + 0.2, atol=1e-9)
 
 
+@pytest.mark.parametrize("corner", box(0.754, 0.051, 0.783, 0.197))
+@pytest.mark.parametrize("offset", [(1.7, 0.85), (0.85, 1.7), (0.4, 0.3), (3, 0.99), (1.2, 1.01), (1, 0), (0, 2.5)])
+def test_goals_beside_the_end_of_a_wall(corner, offset):
+    """A few tolerances from a corner outside of its obstacle, a goal is as far as the corner from what sees that."""
+    outward = np.sign(corner - [0.7685, 0.124])
+    workspace = Workspace(((0, 0), (1, 1)), [box(0.754, 0.051, 0.783, 0.197)])
+    x = np.random.default_rng(0).random((2000, 2))
+    x = x[((x - corner) * outward > 0).any(axis=1)]  # these see the corner
+    for along in ([-1, 1], [1, -1]):  # above the one wall of the corner, or beside the other one
+        goal = corner + outward * along * np.array(offset) * workspace.tolerance
+        oracle = VisibilityGraph(workspace, goal)
+        np.testing.assert_allclose(oracle(x), np.linalg.norm(x - corner, axis=1), atol=1e-8)
+
+
+@pytest.mark.parametrize("width", [0.5, 1, 1.7, 2, 3, 10])
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_spike_about_a_tolerance_wide_is_a_wall_for_all_that_is_asked(width, turn):
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    thin = width * 4e-9
+    spike, foot = np.array([[0.4, -1], [0.4 + thin, -1], [0.4, 0.7]]), box(0.3, -1, 0.5, -0.9)
+    workspace = Workspace(((-2, -2), (2, 2)), [spike @ rotation.T, foot @ rotation.T])
+    x, y = np.array([[[0.1, 0.3], [0.1, 0.6]], [[0.8, 0.3], [0.8, 0.9]]]) @ rotation.T
+    oracle, around = VisibilityGraph(workspace, y[0]), [0.5 + np.hypot(0.4, 0.4), np.hypot(0.7, 0.3)]
+    assert workspace.is_visible(x, y).tolist() == [False, True]
+    np.testing.assert_allclose(oracle.between(x, y), around, atol=1e-8)
+    np.testing.assert_allclose([oracle(x)[0], oracle.with_goal(y[1])(x)[1]], around, atol=1e-8)
+
+
 def test_polyanya_arena_lengths(data_dir):
     folder = data_dir / "polyanya_arena"
     with open(folder / "arena_euclid.csv") as file:
