@@ -74,15 +74,17 @@ class ExactPlane:
     path is a chain of pairs of a point and a sector.
 
     Args:
-        bounds: Corners ``((x0, y0), (x1, y1))``.
+        bounds: Corners ``((x0, y0), (x1, y1))``, or all edges of free space ``(edges, 2, 2)`` with no more obstacles.
         obstacles: Rings ``(n, 2)``, or Shapely polygons, holes allowed.
     """
 
-    def __init__(self, bounds: Any, obstacles: Iterable[Any]):
-        (x0, y0), (x1, y1) = bounds
-        self.points: list[Point] = []
-        self.solids: list[list[tuple[Point, Point]]] = []  # edges of the box, then of each obstacle
-        for shape in [[(x0, y0), (x1, y0), (x1, y1), (x0, y1)], *obstacles]:
+    def __init__(self, bounds: Any, obstacles: Iterable[Any] = ()):
+        if np.ndim(bounds) == 2:
+            (x0, y0), (x1, y1) = bounds
+            corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+            bounds = list(zip(corners, corners[1:] + corners[:1], strict=True))
+        self.solids = [[(as_exact(a), as_exact(b)) for a, b in bounds]]  # edges of the box, then of each obstacle
+        for shape in obstacles:
             polygon = shape if isinstance(shape, shapely.Geometry) else shapely.Polygon(shape)
             edges: list[tuple[Point, Point]] = []
             for part in shapely.get_parts(polygon):
@@ -201,6 +203,19 @@ class ExactPlane:
         )
         reached = [[length[number[x, i]] for i in range(len(self.sectors[x])) if (x, i) in number] for x in ends]
         return np.array([min(each, default=np.inf) for each in reached])
+
+    def near(self, x: Sequence[Any], radius: float) -> list[tuple[Fraction, ...]]:
+        """The nearest point of each wall within a radius, and its ends: what may be across a wall or a contact."""
+        x, found = as_exact(x), []
+        place = as_floats([x])[0]
+        for (a, b), (start, end) in zip(self.edges, self._ends, strict=True):
+            share = np.clip((place - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+            if np.hypot(*(start + share * (end - start) - place)) <= radius:
+                ends = [[Fraction(end[k], end[2]) for k in (0, 1)] for end in (a, b)]
+                beside = np.hypot(*(np.stack([start, end]) - place).T) <= radius
+                shares = {Fraction(float(share)), *(Fraction(i) for i in np.flatnonzero(beside).tolist())}
+                found += [tuple(p + s * (q - p) for p, q in zip(*ends, strict=True)) for s in shares]
+        return found
 
     def _placed(self, points: Iterable[Sequence[Any]]) -> list[Point]:
         """Exact points, whose sectors are known from here on."""
