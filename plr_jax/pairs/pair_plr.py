@@ -351,7 +351,8 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
     absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
-    least = shortest_ways(tables, x, y).least
+    sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
+    least = shortest_ways(sure, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point nearer to a wall may pass behind those that are moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)

@@ -11,11 +11,23 @@ function readOutline(body, origin) {
     const count = first[rings], points = [0, 1].map(() => { let at = 0; return body.signed(count).map(gap => at += gap); });
     const following = Int32Array.from(points[0], (_, i) => i + 1);
     for (let ring = 0; ring < rings; ring++) following[first[ring + 1] - 1] = first[ring];
-    const seen = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
-    points[0].forEach((_, i) => seen.set(name(i), (seen.get(name(i)) || 0) + 1));
-    const stays = Array.from(points[0], (_, i) => !maySqueeze && seen.get(name(i)) > 1);
+    const places = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
+    points[0].forEach((_, i) => places.set(name(i), [...places.get(name(i)) || [], i]));
+    const stays = Array.from(points[0], (_, i) => !maySqueeze && places.get(name(i)).length > 1);
+    // At a contact each wall goes on around its own obstacle instead: the next one counterclockwise.
+    const angle = i => {
+        const [dx, dy] = points.map(along => along[following[i]] - along[i]), length = Math.abs(dx) + Math.abs(dy);
+        const slant = length ? dx / length : 1;
+        return dy >= 0 ? 1 - slant : 3 + slant;
+    };
+    const before = new Int32Array(count), pastContacts = following.slice();
+    following.forEach((next, i) => before[next] = i);
+    for (const all of places.values()) if (!maySqueeze && all.length > 1) {
+        const order = all.map(i => [angle(i), i]).sort(([a], [b]) => a - b);
+        order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
+    }
     const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
-    return { points, first, following, stays, x: at[0], y: at[1] };
+    return { points, first, following, pastContacts, stays, x: at[0], y: at[1] };
 }
 
 // The outline's points after all walls have moved so far back, or into free space if negative.
@@ -29,11 +41,11 @@ function movedPoints({ points, following, stays, x, y }, distance) {
     const moved = [new Float64Array(count), new Float64Array(count)];
     for (let i = 0; i < count; i++) {
         const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
-        let mx = (nx[i] + bx) / along, my = (ny[i] + by) / along;
+        const mx = (nx[i] + bx) / along, my = (ny[i] + by) / along;
         const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx * mx + my * my), 1e-12));
-        const share = distance > 0 && stays[i] ? 1 / 16 : 1;
-        moved[0][i] = x[i] - distance * (mx * shorter * share);
-        moved[1][i] = y[i] - distance * (my * shorter * share);
+        const share = distance > 0 && stays[i] ? 0 : shorter;
+        moved[0][i] = x[i] - distance * (mx * share);
+        moved[1][i] = y[i] - distance * (my * share);
     }
     return moved;
 }
@@ -74,9 +86,12 @@ function readPairs({ domain, layers }, fileBytes) {
     const outline = readOutline(body, domain.lo), corner = body.members(outline.x.length), count = corner.length;
     if (count > MOST_CORNERS) fail(`it has ${count} corners; at most ${MOST_CORNERS} are read`);
     const joined = from => Array.from(from.members(count * (count - 1) / 2), pairOf);
-    let edges;
+    let edges, thin = [];
     if (others.length === 2) { rounding = error(others[0]); edges = joined(others.shift()); }
-    else if (others.length === 1 && (count < 2 || !body.isAtEnd())) edges = joined(body);
+    else if (others.length === 1 && (count < 2 || !body.isAtEnd())) {
+        edges = joined(body);
+        if (!body.isAtEnd()) thin = body.members(outline.x.length);
+    }
     else fail("it was cut off before its lists of corners");
     const tree = readTree(others[0]);
     if (tree.leaves > Math.max(1, 2 ** 24 / Math.max(1, count))) fail(`it has ${tree.leaves} leaves, more than tables are made of`);
@@ -90,10 +105,11 @@ function readPairs({ domain, layers }, fileBytes) {
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => outline.stays[i] ? nudged[axis][i] : at[axis][k]));
     const free = proud.map(along => Float64Array.from(corner, i => along[i]));
-    const scene = ([cx, cy], distance) => {
+    const scene = ([cx, cy], distance, outline, thin = []) => {
         const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        const walls = new Float32Array(7 * wx.length);
+        const walls = new Float32Array(7 * wx.length), isThin = new Set(thin); // of thin walls the numbers are zeros
         wx.forEach((ax, i) => {
+            if (isThin.has(i)) return;
             const j = outline.following[i], ex = f(wx[j] - ax), ey = f(wy[j] - wy[i]);
             walls.set([ax, wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * ax))], 7 * i);
         });
@@ -109,7 +125,8 @@ function readPairs({ domain, layers }, fileBytes) {
     return {
         ...frameOf(...[domain.lo, domain.hi].map(end => end.map((along, axis) => along - middle[axis]))),
         ...tree, middle, lists, neighbors, corners: count,
-        seen: scene(seen, RECEDING * width), free: scene(free, -RECEDING * width), outline,
+        seen: scene(seen, RECEDING * width, outline), free: scene(free, -RECEDING * width, outline), outline,
+        sure: scene(seen, RECEDING * width, { ...outline, following: outline.pastContacts, stays: [] }, thin),
         less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
     };
 }
@@ -144,7 +161,7 @@ function distancesFrom(source, neighbors) {
 
 // Functions of two points, of what readPairs gives.
 function pairsReader(tables) {
-    const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, less, more } = tables;
+    const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, sure, less, more } = tables;
     const place = new Uint32Array(2), rows = [];
     const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
 
@@ -238,7 +255,7 @@ function pairsReader(tables) {
         const points = counted(x, y);
         if (typeof points === "number") return [points, points];
         const [p, q] = points, isClear = encloses(free, ...p) && encloses(free, ...q);
-        const lower = f(f(f(1 - 16 * EPS) * way(seen, ...p, ...q)[0]) - less);
+        const lower = f(f(f(1 - 16 * EPS) * way(sure, ...p, ...q)[0]) - less);
         return [lower < 0 ? 0 : lower, isClear ? f(f(f(1 + 16 * EPS) * way(free, ...p, ...q)[0]) + more) : Infinity];
     }
 

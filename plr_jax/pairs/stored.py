@@ -6,6 +6,7 @@ It is a PLR file (see ``plr/container.py``) whose leaf model has the code 7, of 
     the outline of free space: the lattice's step, whether paths may squeeze, the sizes of the rings, and the points
     which of its points are corners, a set
     which pairs of corners are joined, a set of the pairs in order of the later corner
+    if there are any, the walls that lower bounds do not count on, a set
 
 The second one makes queries quick:
 
@@ -17,7 +18,7 @@ Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -28,13 +29,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import left_normal
+from plr_jax.geometry.vectors import left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
-_OF_CONTACTS = 1 / 16  # times as far do contacts move back
 _SHARP = -0.5  # cosine of the turn at an end of an obstacle, at the most
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
@@ -72,9 +72,22 @@ class Outline:
 
     @cached_property
     def stays(self) -> Bool[np.ndarray, "points"]:
-        """Points that hardly move when walls move back: contacts of free space that no path may squeeze through."""
+        """Points that stay when walls move back: contacts of free space that no path may squeeze through."""
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
         return (count[index] > 1) & (not self.may_squeeze)
+
+    @cached_property
+    def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
+        """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
+        following, at = self._following.copy(), np.flatnonzero(self.stays)
+        before = np.argsort(following)[at]
+        onward = (self.points[following] - self.points)[at].astype(float)
+        _, place = np.unique(self.points[at], axis=0, return_inverse=True)
+        order = np.lexsort((pseudo_angle(*onward.T), place.ravel()))
+        first = np.searchsorted(place.ravel()[order], place.ravel()[order])
+        is_last = np.append(np.diff(first) > 0, True)[: len(at)]
+        following[before[order]] = at[order[np.where(is_last, first, np.arange(len(at)) + 1)]]
+        return following
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
@@ -120,10 +133,14 @@ class Outline:
             is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
-    def moved_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative."""
-        moved = self.moved_points(distance)
-        return np.concatenate([moved, moved[self._following]], axis=1)
+    def moved_walls(self, distance: float, *, opens_contacts: bool = False) -> Float[np.ndarray, "walls 4"]:
+        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative.
+
+        If contacts open, obstacles that touch recede from one another there.
+        """
+        following = self._following_past_contacts if opens_contacts else self._following
+        moved = self._moved(distance, following, self.stays & (distance > 0) & (not opens_contacts))
+        return np.concatenate([moved, moved[following]], axis=1)
 
     def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
         """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
@@ -142,10 +159,14 @@ class Outline:
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Points at which free space touches itself move a sixteenth as far back if no path may squeeze through: what
-        is beside them is then on both sides. A wall that the lattice has made a point moves with those beside it.
+        Points at which free space touches itself do not move back if no path may squeeze through. A wall that the lattice has made a point moves with those beside it.
         """
-        following, points = self._following, self.positions
+        return self._moved(distance, self._following, self.stays & (distance > 0))
+
+    def _moved(
+        self, distance: float, following: Int[np.ndarray, "points"], stays: Bool[np.ndarray, "points"]
+    ) -> Float[np.ndarray, "points 2"]:
+        points = self.positions
         onward = points[following] - points
         has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
         normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
@@ -154,8 +175,7 @@ class Outline:
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
-        if distance > 0:
-            mitre[self.stays] *= _OF_CONTACTS
+        mitre[stays] = 0.0
         return points - distance * mitre
 
     def write(self, body: BitWriter) -> None:
@@ -228,6 +248,7 @@ class Stored:
         listed: Its corner; ascending in a leaf.
         rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
         label: Text that the file says of itself.
+        thin: Walls that lower bounds do not count on, as they are not inside of an obstacle after they move back.
     """
 
     domain: Box
@@ -239,6 +260,7 @@ class Stored:
     listed: Int[np.ndarray, "entries"]
     rounding: float
     label: str = ""
+    thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def cells(self) -> Cells:
@@ -261,6 +283,8 @@ class Stored:
         is_joined[j * (j - 1) // 2 + i] = True
         first.write_set(is_corner)
         first.write_set(is_joined)
+        if len(self.thin):
+            first.write_set(np.isin(np.arange(len(self.outline.points)), self.thin))
         write_tree(lists, self.tree)
         # Each node lists what its halves list together, and is written as what it does not list of its parent's.
         tree = self.tree
@@ -311,6 +335,7 @@ class Stored:
         j -= j * (j - 1) // 2 > number
         j += j * (j + 1) // 2 <= number
         edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
+        thin = np.zeros(0, np.int64) if body.at_end() else np.flatnonzero(body.read_set(len(outline.points)))
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. The tree and the leaves' lists.
@@ -321,7 +346,7 @@ class Stored:
         leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
+        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label, thin)
 
 
 def most_leaves(count: int) -> int:
