@@ -1,8 +1,8 @@
 """Small hostile workspaces, and what the package answers about them beside an exact oracle.
 
 ``python tests/hostile_plans.py --plans 2000`` makes random workspaces of shared vertices, collinear walls, touching
-corners, walls flush with the bounds, spikes, and slivers and gaps of 1 to 10 tolerances. Goals lie beside walls, their
-ends, corners and contacts. It counts wrong answers, broken bounds, hangs and refusals.
+corners, walls flush with the bounds, spikes, and slivers and gaps of 1 to 10 tolerances. Goals lie beside walls,
+their ends, corners and contacts. It counts wrong answers, broken bounds, hangs and refusals.
 
 A point that the tolerance cannot tell from others has the answers of all of them: an answer is wrong if it lies
 outside of the interval of these. For points in 32 bits the tolerance is what 32 bits resolve.
@@ -14,7 +14,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +26,7 @@ from exact_plane import ExactPlane, as_exact
 
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
 
+_ASKED = ["oracle", "fields", "pairs"]  # the oracle, certified PLRs of one goal a plan, pairs
 _HANGS = 30  # seconds
 _NEAR = 2  # tolerances of the workspace: points as near to a wall may be on either side
 _NEAR_32 = 1e-7  # widths: the same of points in 32 bits
@@ -84,7 +85,7 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
         if way == "opposite":  # a rectangle whose corner is that of another ring
             return rectangle(vertex, a)
         if way == "collinear":  # with a side in line with that of another one
-            (x, _), axis = vertex, rng.integers(2)
+            axis = rng.integers(2)
             one, other = a.copy(), b.copy()
             one[axis] = vertex[axis]
             return rectangle(one, other)
@@ -226,7 +227,7 @@ class Judge:
         )
 
 
-def judge(plan: Plan, quick: bool = False) -> Judge:
+def judge(plan: Plan, ask: Collection[str]) -> Judge:
     """Ask the package all about a plan."""
     workspace = Workspace(plan.bounds, plan.obstacles)
     result = Judge(plan, workspace.boundary.segments)
@@ -240,12 +241,15 @@ def judge(plan: Plan, quick: bool = False) -> Judge:
     exact = [result.given.distances(goal, x) for goal in goals]
     # Of points in obstacles pairs answer nothing that means something.
     is_free = np.array([bool(result.given.sectors_at(as_exact(each))) for each in x])
-    pairs = None if quick else _refusing(result, "pairs", lambda: construct_pairs(workspace, max_bytes=2**14))
+    pairs = None
+    if "pairs" in ask:
+        pairs = _refusing(result, "pairs", lambda: construct_pairs(workspace, max_bytes=2**14))
     for number, (goal, right) in enumerate(zip(goals, exact, strict=True)):
         own = oracle.with_goal(goal)
-        result.values("VisibilityGraph", goal, x, own(x), right, slack, radius)
-        result.values("between", goal, x, own.between(x, np.tile(goal, (len(x), 1))), right, slack, radius)
-        result.sight("is_visible", goal, x, workspace.is_visible(np.tile(goal, (len(x), 1)), x))
+        if "oracle" in ask:
+            result.values("VisibilityGraph", goal, x, own(x), right, slack, radius)
+            result.values("between", goal, x, own.between(x, np.tile(goal, (len(x), 1))), right, slack, radius)
+            result.sight("is_visible", goal, x, workspace.is_visible(np.tile(goal, (len(x), 1)), x))
         if pairs is not None:
             numpy = pairs.numpy()
             if result.given.sectors_at(as_exact(goal)):
@@ -253,7 +257,7 @@ def judge(plan: Plan, quick: bool = False) -> Judge:
                 slack_32 = _SLACK_PAIRS * width
                 result.values("pairs", goal, x[is_free], got, right[is_free], slack_32, _NEAR_PAIRS * width)
             result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), right, slack, _NEAR_32 * width)
-        if number or quick or not np.isfinite(own(x)).any():
+        if number or "fields" not in ask or not np.isfinite(own(x)).any():
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
             name = f"{leaf}s of {most} bytes"
@@ -281,14 +285,14 @@ def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
         result.counts[f"{name}: refused: {' '.join(str(error).split()[:12])}"] += 1
 
 
-def trial(seed: int, number: int, quick: bool) -> Judge:
+def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
     """A plan and what is wrong; hangs and errors are counted as well."""
     plan = hostile_plan(seed, number)
     signal.alarm(_HANGS)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return judge(plan, quick)
+            return judge(plan, ask)
     except ValueError as error:
         result = Judge(plan, np.zeros((0, 2, 2)))
         result.counts[f"refused: {' '.join(str(error).split()[:12])}"] += 1
@@ -310,14 +314,14 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=2_000)
     parser.add_argument("--first", type=int, default=0, help="number of the first plan")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="the oracle alone")
+    parser.add_argument("--ask", nargs="+", choices=_ASKED, default=_ASKED, help="what is asked")
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
     print(f"what fails is in {kept}", flush=True)
     signal.signal(signal.SIGALRM, _give_up)
     counts, began = Counter(), time.perf_counter()
     for number in range(arguments.first, arguments.first + arguments.plans):
-        result = trial(arguments.seed, number, arguments.quick)
+        result = trial(arguments.seed, number, arguments.ask)
         counts += result.counts
         if result.failures:
             (kept / f"{number}.txt").write_text("\n\n".join(result.failures) + "\n")

@@ -236,11 +236,6 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     outline, vertex = outline_of(
         boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
     )
-    if outline.is_turned_around(RECEDING * float(domain.width.max()), boundary.vertices[vertex]):
-        raise ValueError(
-            f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
-            "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
-        )
     corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
     # 1. Edges: joined are corners that see one another and whose line is tangent at both: what shortest paths are
     #    made of.

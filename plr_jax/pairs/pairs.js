@@ -13,7 +13,7 @@ function readOutline(body, origin) {
     for (let ring = 0; ring < rings; ring++) following[first[ring + 1] - 1] = first[ring];
     const places = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
     points[0].forEach((_, i) => places.set(name(i), [...places.get(name(i)) || [], i]));
-    const stays = Array.from(points[0], (_, i) => !maySqueeze && places.get(name(i)).length > 1);
+    const isContact = Array.from(points[0], (_, i) => !maySqueeze && places.get(name(i)).length > 1);
     // At a contact each wall goes on around its own obstacle instead: the next one counterclockwise.
     const angle = i => {
         const [dx, dy] = points.map(along => along[following[i]] - along[i]), length = Math.abs(dx) + Math.abs(dy);
@@ -27,27 +27,39 @@ function readOutline(body, origin) {
         order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
     }
     const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
-    return { points, first, following, pastContacts, stays, x: at[0], y: at[1] };
+    return { points, first, following, pastContacts, isContact, x: at[0], y: at[1] };
 }
 
-// The outline's points after all walls have moved so far back, or into free space if negative.
-function movedPoints({ points, following, stays, x, y }, distance) {
+// How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
+function moves({ points, following, isContact, x, y }, distance) {
     const count = x.length, nx = new Float64Array(count), ny = new Float64Array(count), before = new Int32Array(count);
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i], length = Math.sqrt(dx * dx + dy * dy);
         before[next] = i;
         if (points[0][i] !== points[0][next] || points[1][i] !== points[1][next]) { nx[i] = -dy / length; ny[i] = dx / length; }
     }
-    const moved = [new Float64Array(count), new Float64Array(count)];
+    const mx = new Float64Array(count), my = new Float64Array(count), turned = [];
     for (let i = 0; i < count; i++) {
         const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
-        const mx = (nx[i] + bx) / along, my = (ny[i] + by) / along;
-        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx * mx + my * my), 1e-12));
-        const share = distance > 0 && stays[i] ? 0 : shorter;
-        moved[0][i] = x[i] - distance * (mx * share);
-        moved[1][i] = y[i] - distance * (my * share);
+        mx[i] = (nx[i] + bx) / along;
+        my[i] = (ny[i] + by) / along;
+        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
+        mx[i] *= shorter;
+        my[i] *= shorter;
     }
-    return moved;
+    if (!isContact || distance <= 0) return [mx, my];
+    isContact.forEach((stays, i) => { if (stays) mx[i] = my[i] = 0; });
+    for (let i = 0; i < count; i++) {
+        const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i];
+        if (dx * (dx - distance * (mx[next] - mx[i])) + dy * (dy - distance * (my[next] - my[i])) < 0) turned.push(i, next);
+    }
+    turned.forEach(i => mx[i] = my[i] = 0);
+    return [mx, my];
+}
+
+function movedPoints(outline, distance) {
+    const at = [outline.x, outline.y];
+    return moves(outline, distance).map((along, axis) => along.map((move, i) => at[axis][i] - distance * move));
 }
 
 // The corners that each leaf lists.
@@ -103,18 +115,20 @@ function readPairs({ domain, layers }, fileBytes) {
     const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
-    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => outline.stays[i] ? nudged[axis][i] : at[axis][k]));
-    const free = proud.map(along => Float64Array.from(corner, i => along[i]));
-    const scene = ([cx, cy], distance, outline, thin = []) => {
+    const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
+    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));
+    const free = proud.map(along => Float64Array.from(corner, i => along[i])), isThin = new Set(thin);
+    const wallsOf = (distance, outline, isKept) => {
         const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        const walls = new Float32Array(7 * wx.length), isThin = new Set(thin); // of thin walls the numbers are zeros
-        wx.forEach((ax, i) => {
-            if (isThin.has(i)) return;
-            const j = outline.following[i], ex = f(wx[j] - ax), ey = f(wy[j] - wy[i]);
-            walls.set([ax, wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * ax))], 7 * i);
+        return Array.from(wx.keys()).filter(isKept).flatMap(i => {
+            const j = outline.following[i], ex = f(wx[j] - wx[i]), ey = f(wy[j] - wy[i]);
+            return [wx[i], wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * wx[i]))];
         });
-        return { walls, isCertain: distance < 0, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) };
     };
+    const opened = { ...outline, following: outline.pastContacts, isContact: null };
+    const behind = i => (stays[i] || stays[outline.following[i]]) && !isThin.has(i);
+    const scene = ([cx, cy], walls, isCertain) => (
+        { walls: Float32Array.from(walls), isCertain, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) });
     const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
     const rounds = 16 * EPS * Math.max(...reach), neighbors = Array.from(corner, () => []);
     for (const [i, j] of edges) {
@@ -125,8 +139,9 @@ function readPairs({ domain, layers }, fileBytes) {
     return {
         ...frameOf(...[domain.lo, domain.hi].map(end => end.map((along, axis) => along - middle[axis]))),
         ...tree, middle, lists, neighbors, corners: count,
-        seen: scene(seen, RECEDING * width, outline), free: scene(free, -RECEDING * width, outline), outline,
-        sure: scene(seen, RECEDING * width, { ...outline, following: outline.pastContacts, stays: [] }, thin),
+        seen: scene(seen, [...wallsOf(recede, outline, () => true), ...wallsOf(recede, opened, behind)], false),
+        sure: scene(seen, wallsOf(recede, opened, i => !isThin.has(i)), false),
+        free: scene(free, wallsOf(-recede, outline, () => true), true), outline,
         less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
     };
 }

@@ -98,7 +98,7 @@ class Scene:
     def of(stored: Stored, is_certain: bool, hides_surely: bool = False) -> "Scene":
         """Move the walls of a file into free space if paths must be certainly free, else out of it.
 
-        If what is hidden must be hidden for sure, obstacles that touch are apart, and thin walls are left out.
+        If only what an obstacle surely hides is hidden, obstacles that touch are apart, and thin walls are left out.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -106,13 +106,17 @@ class Scene:
         if is_certain:
             corners = outline.moved_points(-2 * receding)[stored.corner]
         else:
-            # Contacts stay: their corners move before the walls, or rounding would hide them.
+            # Where walls stay corners move before the walls, or rounding would hide the corners.
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
-            corners = np.where(outline.stays[stored.corner, None], before, stored.points)
-        distance = -receding if is_certain else receding
-        walls = outline.moved_walls(distance, opens_contacts=hides_surely) - np.tile(middle, 2)
-        if hides_surely:
-            walls = np.delete(walls, stored.thin, axis=0)
+            corners = np.where(outline.stays(receding)[stored.corner, None], before, stored.points)
+        walls = outline.moved_walls(-receding if is_certain else receding)
+        if not is_certain:
+            is_thin = np.isin(np.arange(len(walls)), stored.thin)
+            apart = outline.moved_walls(receding, opens_contacts=True)
+            # A point where a wall stays is as much inside as outside of the wall: one behind it tells lines that go in.
+            behind = apart[outline.has_end_that_stays(receding) & ~is_thin]
+            walls = apart[~is_thin] if hides_surely else np.concatenate([walls, behind])
+        walls -= np.tile(middle, 2)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 

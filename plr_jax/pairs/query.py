@@ -150,7 +150,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         half=in_32_bits(stored.domain.width / 2),
         proud_walls=in_groups(walls_with_sides(free.walls)),
         proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
-        sure_walls=in_groups(walls_with_sides(sure)) if stored.outline.stays.any() or len(stored.thin) else None,
+        sure_walls=None if np.array_equal(sure, seen.walls) else in_groups(walls_with_sides(sure)),
         rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
         unresolved=unresolved_types(stored.domain),
     )

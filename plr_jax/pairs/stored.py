@@ -35,7 +35,6 @@ from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
-_SHARP = -0.5  # cosine of the turn at an end of an obstacle, at the most
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
 
@@ -71,15 +70,15 @@ class Outline:
         return following
 
     @cached_property
-    def stays(self) -> Bool[np.ndarray, "points"]:
-        """Points that stay when walls move back: contacts of free space that no path may squeeze through."""
+    def _is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Contacts of free space that no path may squeeze through."""
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
         return (count[index] > 1) & (not self.may_squeeze)
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
         """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
-        following, at = self._following.copy(), np.flatnonzero(self.stays)
+        following, at = self._following.copy(), np.flatnonzero(self._is_contact)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
         _, place = np.unique(self.points[at], axis=0, return_inverse=True)
@@ -139,35 +138,30 @@ class Outline:
         If contacts open, obstacles that touch recede from one another there.
         """
         following = self._following_past_contacts if opens_contacts else self._following
-        moved = self._moved(distance, following, self.stays & (distance > 0) & (not opens_contacts))
+        moved = self.positions - distance * self._moves(distance, opens_contacts)
         return np.concatenate([moved, moved[following]], axis=1)
-
-    def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
-        """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
-
-        Walls point as they do between the vertices. One that the lattice has made a point does no harm but at a sharp
-        end, where those beside it point against one another.
-        """
-        moved, following = self.moved_points(distance), self._following
-        walls, moved_walls = vertices[following] - vertices, moved[following] - moved
-        is_turned = (walls * moved_walls).sum(axis=1) < 0
-        is_point = (self.points[following] == self.points).all(axis=1)
-        before, after = walls[np.argsort(following)], walls[following]
-        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        return bool((is_turned & (~is_point | ((before * after).sum(axis=1) < _SHARP * lengths))).any())
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Points at which free space touches itself do not move back if no path may squeeze through. A wall that the lattice has made a point moves with those beside it.
+        Two kinds of points do not move back: contacts that no path may squeeze through, and ends of walls so short
+        that they would turn around, as at the end of an obstacle that is thinner than twice the distance.
         """
-        return self._moved(distance, self._following, self.stays & (distance > 0))
+        return self.positions - distance * self._moves(distance)
 
-    def _moved(
-        self, distance: float, following: Int[np.ndarray, "points"], stays: Bool[np.ndarray, "points"]
-    ) -> Float[np.ndarray, "points 2"]:
-        points = self.positions
-        onward = points[following] - points
+    def stays(self, distance: float) -> Bool[np.ndarray, "points"]:
+        """Points that do not move so far back."""
+        return (self._moves(distance) == 0).all(axis=1)
+
+    def has_end_that_stays(self, distance: float) -> Bool[np.ndarray, "walls"]:
+        """Walls of which an end does not move so far back."""
+        stays = self.stays(distance)
+        return stays | stays[self._following]
+
+    def _moves(self, distance: float, opens_contacts: bool = False) -> Float[np.ndarray, "points 2"]:
+        """How far points move back, in distances. A wall that is a point moves with those beside it."""
+        following = self._following_past_contacts if opens_contacts else self._following
+        onward = self.positions[following] - self.positions
         has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
         normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
         before = np.empty_like(normal)
@@ -175,8 +169,13 @@ class Outline:
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
-        mitre[stays] = 0.0
-        return points - distance * mitre
+        if distance <= 0 or opens_contacts:
+            return mitre
+        mitre[self._is_contact] = 0.0
+        moved_onward = onward - distance * (mitre[following] - mitre)
+        turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
+        mitre[turned] = mitre[following[turned]] = 0.0
+        return mitre
 
     def write(self, body: BitWriter) -> None:
         """Append the outline to a file's body."""
