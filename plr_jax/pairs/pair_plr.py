@@ -272,9 +272,9 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     - Points nearer to a wall than 4e-6 of the domain's width may see past its ends, and get up to 2e-5 of the width
       too little.
-    - Beside a wall thinner than 8e-6 of the width, or where walls touch, points see what is on both sides, and get
-      the lesser distance. Beside a part that thin which grows out of where obstacles overlap, a lower bound may be
-      the distance around its other end.
+    - Points as near to a wall thinner than 8e-6 of the width, to a gap as thin, or to where obstacles touch may see
+      through the obstacles there, and get a distance that is too short. Bounds hold there as well. Lower bounds
+      take walls as thin for free space, and so may be far below the distance of points on the two sides.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.
@@ -284,8 +284,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
         The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
-            than 8e-6 of its width; or if free space and corners alone take more bytes.
+        ValueError: If the workspace is none, has too many corners, or is wider than 1e18; or if free space and
+            corners alone take more bytes.
 
     References:
         "all-pairs" in Section II of the paper.

@@ -14,11 +14,11 @@ and rounded to 32 once.
 3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` and ``q`` see one another, the distance is theirs; else
     the least ``|p - i| + (|q - j| + D(i, j))`` of corners ``i`` that ``p`` sees and ``j`` that ``q`` sees, of those
     that their leaves list, or ``inf``. The leaf of a point is found as that of a PLR (see ``plr/portable``).
-4.  *Bounds.* The lower one is ``max(shrunk length - less, 0)``, of the length that is found likewise where obstacles
-    that touch are apart and without the walls that the file calls thin. The upper one is ``stretched length + more``, of
-    the length that is found likewise among walls and corners that are moved into free space, where going in or out
-    alone is enough to be blocked; ``inf`` unless both points are inside those walls: those that go up to the right of
-    a point, less those that go down, are one.
+4.  *Bounds.* The lower one is ``max(shrunk length - less, 0)``, of the length that is found likewise where
+    obstacles that touch are apart and without the walls that the file calls thin. The upper one is ``stretched
+    length + more``, of the length that is found likewise among walls and corners that are moved into free space,
+    where going in or out alone is enough to be blocked; ``inf`` unless both points are inside those walls: those that
+    go up to the right of a point, less those that go down, are one.
 
 ``pairs(x, y)`` finds the same ways, but for rounding: its answers may be of another way that is as short, and
 compilers may fuse its operations.
@@ -113,7 +113,7 @@ class Scene:
         if not is_certain:
             is_thin = np.isin(np.arange(len(walls)), stored.thin)
             apart = outline.moved_walls(receding, opens_contacts=True)
-            # A point where a wall stays is as much inside as outside of the wall: one behind it tells lines that go in.
+            # A point where a wall stays is as much inside as outside of it: a wall behind tells lines that go in.
             behind = apart[outline.has_end_that_stays(receding) & ~is_thin]
             walls = apart[~is_thin] if hides_surely else np.concatenate([walls, behind])
         walls -= np.tile(middle, 2)
