@@ -23,7 +23,7 @@ from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
 
 _ORACLE = 1e-12  # of the domain's width: what the oracle rounds
 _NEAREST, _FARTHEST = 1e-6, 1e-2  # from a contact, in workspace units
-_GOALS, _CONE_GOALS, _POINTS = 50, 4, 25_000
+_GOALS, _CONE_GOALS, _POINTS = 20, 2, 25_000
 _CONES = (8_192, 32_768)
 _PAIRS = 10_000
 _THIN, _LACKING = 8e-6, 2e-5  # widths: what 32 bits resolve of walls, and what a point beside one may lack
@@ -31,7 +31,7 @@ _THIN, _LACKING = 8e-6, 2e-5  # widths: what 32 bits resolve of walls, and what 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     folder = Path(os.environ.get("PLR_JAX_DATA", ""))
-    maps = {} if smoke else {name: workspace for name, (workspace, _) in load_maps(["den520d", "Berlin"]).items()}
+    maps: dict[str, Workspace] = {}
     buildings: dict[str, Workspace] = {}
     for name in ("contacts/contact", "jupedsim/arena", "jupedsim/aknz_evac"):
         if (path := folder / f"{name}.wkt").exists():
@@ -45,10 +45,12 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                     maps[path.stem] = buildings[path.stem]
         else:
             print(f"{name}: skipped, PLR_JAX_DATA names no folder with {path.name}")
+    if not smoke:
+        maps |= {name: workspace for name, (workspace, _) in load_maps(["den520d", "Berlin"]).items()}
     rng = np.random.default_rng(seed)
     return {
-        "contacts": [row for name, each in maps.items() for row in _beside_contacts(name, each, rng, smoke)],
         "buildings": [row for name, each in buildings.items() for row in _in_building(name, each, rng, smoke)],
+        "contacts": [row for name, each in maps.items() for row in _beside_contacts(name, each, rng, smoke)],
     }
 
 
@@ -73,7 +75,9 @@ def _beside_contacts(name: str, workspace: Workspace, rng: np.random.Generator, 
             counts = _broken(cones.bounds(x), own(x), slack)
             broken, asked = broken + counts[:2], asked + int(counts[2])
         rows.append({"what": "cones", "bytes": most, "goals": len(some), "asked": asked, "broken": broken})
-    return [{"map": name, "contacts": len(contacts), **row, "broken": int(row["broken"].sum())} for row in rows]
+    rows = [{"map": name, "contacts": len(contacts), **row, "broken": int(row["broken"].sum())} for row in rows]
+    print(*rows, sep="\n", flush=True)
+    return rows
 
 
 def _broken(bounds: Any, exact: Float[np.ndarray, "n"], slack: float) -> Any:
@@ -108,6 +112,7 @@ def _in_building(name: str, workspace: Workspace, rng: np.random.Generator, smok
         of_pairs, of_cones = _broken(pairs.bounds(x, y), exact, slack), _broken(cones.bounds(x), oracle(x), slack)
         row = {"map": name, "where": where, "pairs": len(x), "of both sides of a thin wall": len(thin) - wrong}
         row |= {"wrong": wrong, "broken": int(of_pairs[:2].sum()), "broken of cones": int(of_cones[:2].sum())}
+        print(row, flush=True)
         rows.append(row)
     return rows
 

@@ -31,6 +31,7 @@ _HANGS = 30  # seconds
 _NEAR = 2  # tolerances of the workspace: points as near to a wall may be on either side
 _NEAR_32 = 1e-7  # widths: the same of points in 32 bits
 _NEAR_PAIRS, _SLACK_PAIRS = 8e-6, 2e-5  # widths: what pairs are documented to resolve, and how much they may lack
+_SHARP = 0.6  # cosine of the angle of an obstacle's tip that is thinner than that, as near to the tip
 _OFFSETS = [0, 0.5, 1, 2, 3]  # tolerances from walls and their ends
 _STEPS = [1e-6, 1e-3]  # widths from them
 
@@ -187,6 +188,30 @@ class Judge:
             else:
                 self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
 
+    def pairs(self, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, width: float):
+        """Count distances that are wrong and not, as documented, too short beside what 32 bits do not resolve."""
+        radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
+        may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
+        may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)
+        self.counts["pairs: too short, where 32 bits do not resolve"] += int((may_lack & (got < exact - slack)).sum())
+        self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius)
+
+    def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
+        """Whether two walls, or both walls of a tip, are as near."""
+        near = self.boundary[shapely.dwithin(shapely.linestrings(self.boundary), shapely.Point(x), radius)]
+        for one in near:
+            for other in near:
+                shared = (one[:, None] == other).all(axis=2)
+                if not shared.any():
+                    return True
+                if shared.sum() == 1:
+                    (i,), (j,) = np.nonzero(shared)
+                    u, v = one[1 - i] - one[i], other[1 - j] - other[j]
+                    if u @ v > _SHARP * np.hypot(*u) * np.hypot(*v):
+                        return True
+        vertices = {tuple(end) for wall in near for end in wall.tolist() if np.hypot(*(end - x)) <= radius}
+        return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
+
     def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float, radius: float):
         """Count bounds that are broken, and those that are for points in 32 bits alone."""
         lower, upper = (np.asarray(each, float) for each in got)
@@ -254,8 +279,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
             numpy = pairs.numpy()
             if result.given.sectors_at(as_exact(goal)):
                 got = np.asarray(numpy(x[is_free], goal), float)
-                slack_32 = _SLACK_PAIRS * width
-                result.values("pairs", goal, x[is_free], got, right[is_free], slack_32, _NEAR_PAIRS * width)
+                result.pairs(goal, x[is_free], got, right[is_free], width)
             result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), right, slack, _NEAR_32 * width)
         if number or "fields" not in ask or not np.isfinite(own(x)).any():
             continue
