@@ -245,8 +245,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     # 2. A path by the corners has two legs, each of which changes by no more than its corner moves when the file
     #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
     none, width = np.zeros(0, np.int64), float(domain.width.max())
-    thin = thin_walls(outline, workspace.free_space, width)
-    unlisted = Stored(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0, thin=thin)
+    outline = replace(outline, thin=thin_walls(outline, workspace.free_space, width))
+    unlisted = Stored(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
     moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))

@@ -272,9 +272,9 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     - Points nearer to a wall than 4e-6 of the domain's width may see past its ends, and get up to 2e-5 of the width
       too little.
-    - Points as near to a wall thinner than 8e-6 of the width, to a gap as thin, or to where obstacles touch may see
-      through the obstacles there, and get a distance that is too short. Bounds hold there as well. Lower bounds
-      take walls as thin for free space, and so may be far below the distance of points on the two sides.
+    - Points as near to a wall thinner than 8e-6 of the width, to a gap as thin, or to where obstacles touch may get
+      the distance of points on the other side, or one that is too short. Bounds hold there as well. Lower bounds take
+      walls as thin for free space, and so may be far below the distance of points on the two sides.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.

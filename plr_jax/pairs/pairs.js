@@ -27,7 +27,7 @@ function readOutline(body, origin) {
         order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
     }
     const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
-    return { points, first, following, pastContacts, isContact, x: at[0], y: at[1] };
+    return { points, first, following, pastContacts, before, isContact, x: at[0], y: at[1] };
 }
 
 // How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
@@ -114,10 +114,12 @@ function readPairs({ domain, layers }, fileBytes) {
     const half = domain.lo.map((lo, axis) => (domain.hi[axis] - lo) / 2);
     const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
+    const isThin = new Set(thin); // between thin walls points stay as contacts do
+    thin.forEach(i => { if (isThin.has(outline.before[i])) outline.isContact[i] = true; });
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
     const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));
-    const free = proud.map(along => Float64Array.from(corner, i => along[i])), isThin = new Set(thin);
+    const free = proud.map(along => Float64Array.from(corner, i => along[i]));
     const wallsOf = (distance, outline, isKept) => {
         const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
         return Array.from(wx.keys()).filter(isKept).flatMap(i => {

@@ -111,11 +111,10 @@ class Scene:
             corners = np.where(outline.stays(receding)[stored.corner, None], before, stored.points)
         walls = outline.moved_walls(-receding if is_certain else receding)
         if not is_certain:
-            is_thin = np.isin(np.arange(len(walls)), stored.thin)
             apart = outline.moved_walls(receding, opens_contacts=True)
             # A point where a wall stays is as much inside as outside of it: a wall behind tells lines that go in.
-            behind = apart[outline.has_end_that_stays(receding) & ~is_thin]
-            walls = apart[~is_thin] if hides_surely else np.concatenate([walls, behind])
+            behind = apart[outline.has_end_that_stays(receding) & ~outline.is_thin]
+            walls = apart[~outline.is_thin] if hides_surely else np.concatenate([walls, behind])
         walls -= np.tile(middle, 2)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)

@@ -18,7 +18,7 @@ Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -49,6 +49,7 @@ class Outline:
         points: Points of all rings, ring by ring, in steps from the origin.
         first: First point of each ring, and the number of points.
         may_squeeze: Whether a path may pass between walls that touch in one point.
+        thin: Walls that lower bounds do not count on, as they are not inside of an obstacle after they move back.
     """
 
     origin: Float[np.ndarray, "2"]
@@ -56,6 +57,7 @@ class Outline:
     points: Int[np.ndarray, "points 2"]
     first: Int[np.ndarray, "rings_plus_one"]
     may_squeeze: bool
+    thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
@@ -68,6 +70,11 @@ class Outline:
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
+
+    @property
+    def is_thin(self) -> Bool[np.ndarray, "points"]:
+        """Which walls are thin, those from each point to the next one."""
+        return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
     def _is_contact(self) -> Bool[np.ndarray, "points"]:
@@ -144,8 +151,8 @@ class Outline:
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Two kinds of points do not move back: contacts that no path may squeeze through, and ends of walls so short
-        that they would turn around, as at the end of an obstacle that is thinner than twice the distance.
+        Some points do not move back: contacts that no path may squeeze through, points between thin walls, and ends
+        of walls so short that they would turn around, as of an obstacle that is thinner than twice the distance.
         """
         return self.positions - distance * self._moves(distance)
 
@@ -171,7 +178,7 @@ class Outline:
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
         if distance <= 0 or opens_contacts:
             return mitre
-        mitre[self._is_contact] = 0.0
+        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)])] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
         mitre[turned] = mitre[following[turned]] = 0.0
@@ -247,7 +254,6 @@ class Stored:
         listed: Its corner; ascending in a leaf.
         rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
         label: Text that the file says of itself.
-        thin: Walls that lower bounds do not count on, as they are not inside of an obstacle after they move back.
     """
 
     domain: Box
@@ -259,7 +265,6 @@ class Stored:
     listed: Int[np.ndarray, "entries"]
     rounding: float
     label: str = ""
-    thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def cells(self) -> Cells:
@@ -282,8 +287,8 @@ class Stored:
         is_joined[j * (j - 1) // 2 + i] = True
         first.write_set(is_corner)
         first.write_set(is_joined)
-        if len(self.thin):
-            first.write_set(np.isin(np.arange(len(self.outline.points)), self.thin))
+        if len(self.outline.thin):
+            first.write_set(self.outline.is_thin)
         write_tree(lists, self.tree)
         # Each node lists what its halves list together, and is written as what it does not list of its parent's.
         tree = self.tree
@@ -334,7 +339,8 @@ class Stored:
         j -= j * (j - 1) // 2 > number
         j += j * (j + 1) // 2 <= number
         edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
-        thin = np.zeros(0, np.int64) if body.at_end() else np.flatnonzero(body.read_set(len(outline.points)))
+        if not body.at_end():
+            outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. The tree and the leaves' lists.
@@ -345,7 +351,7 @@ class Stored:
         leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label, thin)
+        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
 
 
 def most_leaves(count: int) -> int:
