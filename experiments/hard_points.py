@@ -4,7 +4,8 @@
 certified cones of 8 and 32 KB, is broken if it is beyond the exact distance by more than the oracle rounds.
 
 *Buildings.* Pairs are random points, and points 0 to 1e-2 beside walls. A distance is wrong if it is not between
-those of points that ``construct_pairs`` does not tell from these, on both sides of walls thinner than 32 bits resolve.
+those of points that ``construct_pairs`` does not tell from these, as on both sides of walls that 32 bits do not
+resolve.
 """
 
 import os
