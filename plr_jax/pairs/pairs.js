@@ -120,13 +120,28 @@ function readPairs({ domain, layers }, fileBytes) {
     const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));
     const free = proud.map(along => Float64Array.from(corner, i => along[i]));
+    const wall = (ax, ay, bx, by) => {
+        const ex = f(bx - ax), ey = f(by - ay);
+        return [ax, ay, bx, by, ex, ey, f(f(ex * ay) - f(ey * ax))];
+    };
     const wallsOf = (distance, outline, isKept) => {
         const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
         return Array.from(wx.keys()).filter(isKept).flatMap(i => {
-            const j = outline.following[i], ex = f(wx[j] - wx[i]), ey = f(wy[j] - wy[i]);
-            return [wx[i], wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * wx[i]))];
+            const j = outline.following[i];
+            return wall(wx[i], wy[i], wx[j], wy[j]);
         });
     };
+    const aroundThinWalls = [0, 1, 2, 3].flatMap(k => [...thin].flatMap(i => {
+        const { x, y, following } = outline, dx = x[following[i]] - x[i], dy = y[following[i]] - y[i];
+        if (dx === 0 && dy === 0) return [];
+        const length = Math.sqrt(dx * dx + dy * dy), side = [recede * (-dy / length), recede * (dx / length)];
+        const corner = k => [0, 1].map(axis => {
+            const along = axis ? -side[0] : side[1], at = [x, y][axis], j = following[i];
+            const end = k === 1 || k === 2 ? at[j] + along : at[i] - along;
+            return f((k < 2 ? end + side[axis] : end - side[axis]) - middle[axis]);
+        });
+        return wall(...corner(k), ...corner((k + 1) % 4));
+    }));
     const opened = { ...outline, following: outline.pastContacts, isContact: null };
     const behind = i => (stays[i] || stays[outline.following[i]]) && !isThin.has(i);
     const scene = ([cx, cy], walls, isCertain) => (
@@ -143,7 +158,7 @@ function readPairs({ domain, layers }, fileBytes) {
         ...tree, middle, lists, neighbors, corners: count,
         seen: scene(seen, [...wallsOf(recede, outline, () => true), ...wallsOf(recede, opened, behind)], false),
         sure: scene(seen, wallsOf(recede, opened, i => !isThin.has(i)), false),
-        free: scene(free, wallsOf(-recede, outline, () => true), true), outline,
+        free: scene(free, [...wallsOf(-recede, outline, () => true), ...aroundThinWalls], true), outline,
         less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
     };
 }

@@ -16,9 +16,9 @@ and rounded to 32 once.
     that their leaves list, or ``inf``. The leaf of a point is found as that of a PLR (see ``plr/portable``).
 4.  *Bounds.* The lower one is ``max(shrunk length - less, 0)``, of the length that is found likewise where
     obstacles that touch are apart and without the walls that the file calls thin. The upper one is ``stretched
-    length + more``, of the length that is found likewise among walls and corners that are moved into free space,
-    where going in or out alone is enough to be blocked; ``inf`` unless both points are inside those walls: those that
-    go up to the right of a point, less those that go down, are one.
+    length + more``, of the length that is found likewise among walls and corners that are moved into free space, and
+    rectangles around thin walls, where going in or out alone is enough to be blocked; ``inf`` unless both points are
+    inside those walls: those that go up to the right of a point, less those that go down, are one.
 
 ``pairs(x, y)`` finds the same ways, but for rounding: its answers may be of another way that is as short, and
 compilers may fuse its operations.
@@ -110,7 +110,9 @@ class Scene:
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
             corners = np.where(outline.stays(receding)[stored.corner, None], before, stored.points)
         walls = outline.moved_walls(-receding if is_certain else receding)
-        if not is_certain:
+        if is_certain:
+            walls = np.concatenate([walls, outline.around_thin_walls(receding)])
+        else:
             apart = outline.moved_walls(receding, opens_contacts=True)
             # A point where a wall stays is as much inside as outside of it: a wall behind tells lines that go in.
             behind = apart[outline.has_end_that_stays(receding) & ~outline.is_thin]

@@ -148,6 +148,16 @@ class Outline:
         moved = self.positions - distance * self._moves(distance, opens_contacts)
         return np.concatenate([moved, moved[following]], axis=1)
 
+    def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
+        """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
+        start, end = self.positions[self.thin], self.positions[self._following[self.thin]]
+        has_length = (start != end).any(axis=1)
+        start, end = start[has_length], end[has_length]
+        aside = distance * left_normal(end - start)
+        along = np.stack([aside[:, 1], -aside[:, 0]], axis=1)
+        corners = [start - along + aside, end + along + aside, end + along - aside, start - along - aside]
+        return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
+
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
