@@ -113,7 +113,7 @@ class ExactPlane:
     def sectors_at(self, x: Point) -> list[Sector]:
         """The free sectors around a point: none in an obstacle or outside of the box."""
         rays: list[Vector] = []
-        side = self._sides(*self._ends.transpose(1, 0, 2), as_floats([x]), lambda e: (*self.edges[e], x))
+        side = self._sides(self._ends[:, 0], self._ends[:, 1], as_floats([x]), lambda e: (*self.edges[e], x))
         for a, b in (self.edges[e] for e in np.flatnonzero(side == 0)):
             if x in (a, b) or _is_between(a, b, x):
                 rays += [_direction(x, end) for end in (a, b) if end != x]
@@ -204,7 +204,7 @@ class ExactPlane:
         reached = [[length[number[x, i]] for i in range(len(self.sectors[x])) if (x, i) in number] for x in ends]
         return np.array([min(each, default=np.inf) for each in reached])
 
-    def near(self, x: Sequence[Any], radius: float) -> list[tuple[Fraction, ...]]:
+    def near(self, x: Any, radius: float) -> list[tuple[Fraction, ...]]:
         """The nearest point of each wall within a radius, and its ends: what may be across a wall or a contact."""
         x, found = as_exact(x), []
         place = as_floats([x])[0]

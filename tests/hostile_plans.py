@@ -80,7 +80,7 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
         if way == "rectangle":
             return rectangle(a, b)
         if way == "polygon":
-            return star(place(rng.integers(3, 6)))
+            return star(place(int(rng.integers(3, 6))))
         if way == "touching":
             return star(np.stack([vertex, a, b]))
         if way == "opposite":  # a rectangle whose corner is that of another ring
