@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members, shortened
@@ -15,7 +17,7 @@ from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.portable import RECEDING
+from plr_jax.pairs.portable import MARGIN, RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, Stored, distances_by_rows, most_leaves
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
@@ -234,11 +236,6 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     outline, vertex = outline_of(
         boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
     )
-    if outline.is_turned_around(RECEDING * float(domain.width.max()), boundary.vertices[vertex]):
-        raise ValueError(
-            f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
-            "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
-        )
     corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
     # 1. Edges: joined are corners that see one another and whose line is tangent at both: what shortest paths are
     #    made of.
@@ -247,7 +244,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     edges = np.unique(np.sort(rank[visibility.edges[is_taut]], axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. A path by the corners has two legs, each of which changes by no more than its corner moves when the file
     #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
-    none = np.zeros(0, np.int64)
+    none, width = np.zeros(0, np.int64), float(domain.width.max())
+    outline = replace(outline, thin=thin_walls(outline, workspace.free_space, width))
     unlisted = Stored(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
@@ -278,6 +276,12 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
             f"Free space and its corners alone take {len(data):,} bytes, more than max_bytes={limits.max_bytes:,.0f}."
         )
     return held, data
+
+
+def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
+    """Walls of an outline that are not surely inside of obstacles after they move back, where contacts open."""
+    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, opens_contacts=True).reshape(-1, 2, 2))
+    return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
 
 def corners_in_outline(

@@ -272,9 +272,9 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     - Points nearer to a wall than 4e-6 of the domain's width may see past its ends, and get up to 2e-5 of the width
       too little.
-    - Beside a wall thinner than 8e-6 of the width, or where walls touch, points see what is on both sides, and get
-      the lesser distance. Beside a part that thin which grows out of where obstacles overlap, a lower bound may be
-      the distance around its other end.
+    - Points as near to a wall thinner than 8e-6 of the width, to a gap as thin, or to where obstacles touch may get
+      the distance of points on the other side, or one that is too short. Bounds hold there as well. Lower bounds take
+      walls as thin for free space, and so may be far below the distance of points on the two sides.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.
@@ -284,8 +284,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
         The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
-            than 8e-6 of its width; or if free space and corners alone take more bytes.
+        ValueError: If the workspace is none, has too many corners, or is wider than 1e18; or if free space and
+            corners alone take more bytes.
 
     References:
         "all-pairs" in Section II of the paper.
@@ -351,7 +351,8 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
     absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
-    least = shortest_ways(tables, x, y).least
+    sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
+    least = shortest_ways(sure, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point nearer to a wall may pass behind those that are moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)

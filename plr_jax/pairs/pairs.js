@@ -11,31 +11,55 @@ function readOutline(body, origin) {
     const count = first[rings], points = [0, 1].map(() => { let at = 0; return body.signed(count).map(gap => at += gap); });
     const following = Int32Array.from(points[0], (_, i) => i + 1);
     for (let ring = 0; ring < rings; ring++) following[first[ring + 1] - 1] = first[ring];
-    const seen = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
-    points[0].forEach((_, i) => seen.set(name(i), (seen.get(name(i)) || 0) + 1));
-    const stays = Array.from(points[0], (_, i) => !maySqueeze && seen.get(name(i)) > 1);
+    const places = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
+    points[0].forEach((_, i) => places.set(name(i), [...places.get(name(i)) || [], i]));
+    const isContact = Array.from(points[0], (_, i) => !maySqueeze && places.get(name(i)).length > 1);
+    // At a contact each wall goes on around its own obstacle instead: the next one counterclockwise.
+    const angle = i => {
+        const [dx, dy] = points.map(along => along[following[i]] - along[i]), length = Math.abs(dx) + Math.abs(dy);
+        const slant = length ? dx / length : 1;
+        return dy >= 0 ? 1 - slant : 3 + slant;
+    };
+    const before = new Int32Array(count), pastContacts = following.slice();
+    following.forEach((next, i) => before[next] = i);
+    for (const all of places.values()) if (!maySqueeze && all.length > 1) {
+        const order = all.map(i => [angle(i), i]).sort(([a], [b]) => a - b);
+        order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
+    }
     const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
-    return { points, first, following, stays, x: at[0], y: at[1] };
+    return { points, first, following, pastContacts, before, isContact, x: at[0], y: at[1] };
 }
 
-// The outline's points after all walls have moved so far back, or into free space if negative.
-function movedPoints({ points, following, stays, x, y }, distance) {
+// How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
+function moves({ points, following, isContact, x, y }, distance) {
     const count = x.length, nx = new Float64Array(count), ny = new Float64Array(count), before = new Int32Array(count);
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i], length = Math.sqrt(dx * dx + dy * dy);
         before[next] = i;
         if (points[0][i] !== points[0][next] || points[1][i] !== points[1][next]) { nx[i] = -dy / length; ny[i] = dx / length; }
     }
-    const moved = [new Float64Array(count), new Float64Array(count)];
+    const mx = new Float64Array(count), my = new Float64Array(count), turned = [];
     for (let i = 0; i < count; i++) {
         const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
-        let mx = (nx[i] + bx) / along, my = (ny[i] + by) / along;
-        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx * mx + my * my), 1e-12));
-        const share = distance > 0 && stays[i] ? 1 / 16 : 1;
-        moved[0][i] = x[i] - distance * (mx * shorter * share);
-        moved[1][i] = y[i] - distance * (my * shorter * share);
+        mx[i] = (nx[i] + bx) / along;
+        my[i] = (ny[i] + by) / along;
+        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
+        mx[i] *= shorter;
+        my[i] *= shorter;
     }
-    return moved;
+    if (!isContact || distance <= 0) return [mx, my];
+    isContact.forEach((stays, i) => { if (stays) mx[i] = my[i] = 0; });
+    for (let i = 0; i < count; i++) {
+        const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i];
+        if (dx * (dx - distance * (mx[next] - mx[i])) + dy * (dy - distance * (my[next] - my[i])) < 0) turned.push(i, next);
+    }
+    turned.forEach(i => mx[i] = my[i] = 0);
+    return [mx, my];
+}
+
+function movedPoints(outline, distance) {
+    const at = [outline.x, outline.y];
+    return moves(outline, distance).map((along, axis) => along.map((move, i) => at[axis][i] - distance * move));
 }
 
 // The corners that each leaf lists.
@@ -74,9 +98,12 @@ function readPairs({ domain, layers }, fileBytes) {
     const outline = readOutline(body, domain.lo), corner = body.members(outline.x.length), count = corner.length;
     if (count > MOST_CORNERS) fail(`it has ${count} corners; at most ${MOST_CORNERS} are read`);
     const joined = from => Array.from(from.members(count * (count - 1) / 2), pairOf);
-    let edges;
+    let edges, thin = [];
     if (others.length === 2) { rounding = error(others[0]); edges = joined(others.shift()); }
-    else if (others.length === 1 && (count < 2 || !body.isAtEnd())) edges = joined(body);
+    else if (others.length === 1 && (count < 2 || !body.isAtEnd())) {
+        edges = joined(body);
+        if (!body.isAtEnd()) thin = body.members(outline.x.length);
+    }
     else fail("it was cut off before its lists of corners");
     const tree = readTree(others[0]);
     if (tree.leaves > Math.max(1, 2 ** 24 / Math.max(1, count))) fail(`it has ${tree.leaves} leaves, more than tables are made of`);
@@ -87,18 +114,38 @@ function readPairs({ domain, layers }, fileBytes) {
     const half = domain.lo.map((lo, axis) => (domain.hi[axis] - lo) / 2);
     const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
+    const isThin = new Set(thin); // between thin walls points stay as contacts do
+    thin.forEach(i => { if (isThin.has(outline.before[i])) outline.isContact[i] = true; });
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
-    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => outline.stays[i] ? nudged[axis][i] : at[axis][k]));
+    const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
+    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));
     const free = proud.map(along => Float64Array.from(corner, i => along[i]));
-    const scene = ([cx, cy], distance) => {
-        const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        const walls = new Float32Array(7 * wx.length);
-        wx.forEach((ax, i) => {
-            const j = outline.following[i], ex = f(wx[j] - ax), ey = f(wy[j] - wy[i]);
-            walls.set([ax, wy[i], wx[j], wy[j], ex, ey, f(f(ex * wy[i]) - f(ey * ax))], 7 * i);
-        });
-        return { walls, isCertain: distance < 0, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) };
+    const wall = (ax, ay, bx, by) => {
+        const ex = f(bx - ax), ey = f(by - ay);
+        return [ax, ay, bx, by, ex, ey, f(f(ex * ay) - f(ey * ax))];
     };
+    const wallsOf = (distance, outline, isKept) => {
+        const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
+        return Array.from(wx.keys()).filter(isKept).flatMap(i => {
+            const j = outline.following[i];
+            return wall(wx[i], wy[i], wx[j], wy[j]);
+        });
+    };
+    const aroundThinWalls = [0, 1, 2, 3].flatMap(k => [...thin].flatMap(i => {
+        const { x, y, following } = outline, dx = x[following[i]] - x[i], dy = y[following[i]] - y[i];
+        if (dx === 0 && dy === 0) return [];
+        const length = Math.sqrt(dx * dx + dy * dy), side = [recede * (-dy / length), recede * (dx / length)];
+        const corner = k => [0, 1].map(axis => {
+            const along = axis ? -side[0] : side[1], at = [x, y][axis], j = following[i];
+            const end = k === 1 || k === 2 ? at[j] + along : at[i] - along;
+            return f((k < 2 ? end + side[axis] : end - side[axis]) - middle[axis]);
+        });
+        return wall(...corner(k), ...corner((k + 1) % 4));
+    }));
+    const opened = { ...outline, following: outline.pastContacts, isContact: null };
+    const behind = i => (stays[i] || stays[outline.following[i]]) && !isThin.has(i);
+    const scene = ([cx, cy], walls, isCertain) => (
+        { walls: Float32Array.from(walls), isCertain, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) });
     const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
     const rounds = 16 * EPS * Math.max(...reach), neighbors = Array.from(corner, () => []);
     for (const [i, j] of edges) {
@@ -109,7 +156,9 @@ function readPairs({ domain, layers }, fileBytes) {
     return {
         ...frameOf(...[domain.lo, domain.hi].map(end => end.map((along, axis) => along - middle[axis]))),
         ...tree, middle, lists, neighbors, corners: count,
-        seen: scene(seen, RECEDING * width), free: scene(free, -RECEDING * width), outline,
+        seen: scene(seen, [...wallsOf(recede, outline, () => true), ...wallsOf(recede, opened, behind)], false),
+        sure: scene(seen, wallsOf(recede, opened, i => !isThin.has(i)), false),
+        free: scene(free, [...wallsOf(-recede, outline, () => true), ...aroundThinWalls], true), outline,
         less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
     };
 }
@@ -144,7 +193,7 @@ function distancesFrom(source, neighbors) {
 
 // Functions of two points, of what readPairs gives.
 function pairsReader(tables) {
-    const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, less, more } = tables;
+    const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, sure, less, more } = tables;
     const place = new Uint32Array(2), rows = [];
     const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
 
@@ -238,7 +287,7 @@ function pairsReader(tables) {
         const points = counted(x, y);
         if (typeof points === "number") return [points, points];
         const [p, q] = points, isClear = encloses(free, ...p) && encloses(free, ...q);
-        const lower = f(f(f(1 - 16 * EPS) * way(seen, ...p, ...q)[0]) - less);
+        const lower = f(f(f(1 - 16 * EPS) * way(sure, ...p, ...q)[0]) - less);
         return [lower < 0 ? 0 : lower, isClear ? f(f(f(1 + 16 * EPS) * way(free, ...p, ...q)[0]) + more) : Infinity];
     }
 

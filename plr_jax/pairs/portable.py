@@ -14,10 +14,11 @@ and rounded to 32 once.
 3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` and ``q`` see one another, the distance is theirs; else
     the least ``|p - i| + (|q - j| + D(i, j))`` of corners ``i`` that ``p`` sees and ``j`` that ``q`` sees, of those
     that their leaves list, or ``inf``. The leaf of a point is found as that of a PLR (see ``plr/portable``).
-4.  *Bounds.* The lower one is ``max(shrunk distance - less, 0)``. The upper one is ``stretched length + more``, of
-    the length that is found likewise among walls and corners that are moved into free space, where going in or out
-    alone is enough to be blocked; ``inf`` unless both points are inside those walls: those that go up to the right of
-    a point, less those that go down, are one.
+4.  *Bounds.* The lower one is ``max(shrunk length - less, 0)``, of the length that is found likewise where
+    obstacles that touch are apart and without the walls that the file calls thin. The upper one is ``stretched
+    length + more``, of the length that is found likewise among walls and corners that are moved into free space, and
+    rectangles around thin walls, where going in or out alone is enough to be blocked; ``inf`` unless both points are
+    inside those walls: those that go up to the right of a point, less those that go down, are one.
 
 ``pairs(x, y)`` finds the same ways, but for rounding: its answers may be of another way that is as short, and
 compilers may fuse its operations.
@@ -94,18 +95,29 @@ class Scene:
     is_certain: bool
 
     @staticmethod
-    def of(stored: Stored, is_certain: bool) -> "Scene":
-        """Move the walls of a file into free space if paths must be certainly free, else out of it."""
+    def of(stored: Stored, is_certain: bool, hides_surely: bool = False) -> "Scene":
+        """Move the walls of a file into free space if paths must be certainly free, else out of it.
+
+        If only what an obstacle surely hides is hidden, obstacles that touch are apart, and thin walls are left out.
+        """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
         receding = RECEDING * width
         if is_certain:
             corners = outline.moved_points(-2 * receding)[stored.corner]
         else:
-            # At a contact walls hardly move: its corner moves before the walls, or rounding would hide the corner.
+            # Where walls stay corners move before the walls, or rounding would hide the corners.
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
-            corners = np.where(outline.stays[stored.corner, None], before, stored.points)
-        walls = outline.moved_walls(-receding if is_certain else receding) - np.tile(middle, 2)
+            corners = np.where(outline.stays(receding)[stored.corner, None], before, stored.points)
+        walls = outline.moved_walls(-receding if is_certain else receding)
+        if is_certain:
+            walls = np.concatenate([walls, outline.around_thin_walls(receding)])
+        else:
+            apart = outline.moved_walls(receding, opens_contacts=True)
+            # A point where a wall stays is as much inside as outside of it: a wall behind tells lines that go in.
+            behind = apart[outline.has_end_that_stays(receding) & ~outline.is_thin]
+            walls = apart[~outline.is_thin] if hides_surely else np.concatenate([walls, behind])
+        walls -= np.tile(middle, 2)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 
@@ -153,6 +165,7 @@ class NumpyPairs:
         self._distances = distances_table(stored, corners + 1)
         rounds = _ROUNDINGS * float((domain.width / 2 + np.abs(middle)).max())
         self._seen, self._free = (Scene.of(stored, is_certain) for is_certain in (False, True))
+        self._sure = Scene.of(stored, False, hides_surely=True)
         self._less, self._more = (
             np.float32(stored.rounding + 2 * scene.moved + rounds) for scene in (self._seen, self._free)
         )
@@ -214,7 +227,7 @@ class NumpyPairs:
         return answers.reshape(*x.shape[:-1], answers.shape[1])
 
     def _bounds(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        lower = np.maximum(_SHRUNK * self._lengths(self._seen, p, q) - self._less, np.float32(0))
+        lower = np.maximum(_SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
         is_clear = self._free.encloses(p) & self._free.encloses(q)
         upper = _STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
         return np.stack([lower, upper], axis=1)

@@ -72,6 +72,8 @@ class PairTables:
         half: Half its width, along each axis.
         proud_walls: Ends of the walls moved into free space instead.
         proud_corners: The corners moved into it twice as far.
+        sure_walls: For lower bounds, walls where obstacles that touch are apart, without those that are thin; None if
+            they are ``walls``.
         rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
             that of distances by way of the proud corners, which is larger.
         unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
@@ -92,6 +94,7 @@ class PairTables:
     half: Float[Array, "2"]
     proud_walls: Float[Array, "groups 16 7"]
     proud_corners: Float[Array, "size 2"]
+    sure_walls: Float[Array, "groups 16 7"] | None
     rounding: Float[Array, "2"]
     unresolved: tuple[str, ...] = field(metadata={"static": True})
     is_certain: bool = field(default=False, metadata={"static": True})
@@ -104,6 +107,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     cells, count = stored.cells, len(stored.corner)
     size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
+    sure = Scene.of(stored, False, hides_surely=True).walls
     # 1. The lists as rows of one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
@@ -146,6 +150,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         half=in_32_bits(stored.domain.width / 2),
         proud_walls=in_groups(walls_with_sides(free.walls)),
         proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
+        sure_walls=None if np.array_equal(sure, seen.walls) else in_groups(walls_with_sides(sure)),
         rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
         unresolved=unresolved_types(stored.domain),
     )

@@ -6,6 +6,7 @@ It is a PLR file (see ``plr/container.py``) whose leaf model has the code 7, of 
     the outline of free space: the lattice's step, whether paths may squeeze, the sizes of the rings, and the points
     which of its points are corners, a set
     which pairs of corners are joined, a set of the pairs in order of the later corner
+    if there are any, the walls that lower bounds do not count on, a set
 
 The second one makes queries quick:
 
@@ -17,7 +18,7 @@ Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,14 +29,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import left_normal
+from plr_jax.geometry.vectors import left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
-_OF_CONTACTS = 1 / 16  # times as far do contacts move back
-_SHARP = -0.5  # cosine of the turn at an end of an obstacle, at the most
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
 
@@ -50,6 +49,7 @@ class Outline:
         points: Points of all rings, ring by ring, in steps from the origin.
         first: First point of each ring, and the number of points.
         may_squeeze: Whether a path may pass between walls that touch in one point.
+        thin: Walls that lower bounds do not count on, as they are not inside of an obstacle after they move back.
     """
 
     origin: Float[np.ndarray, "2"]
@@ -57,6 +57,7 @@ class Outline:
     points: Int[np.ndarray, "points 2"]
     first: Int[np.ndarray, "rings_plus_one"]
     may_squeeze: bool
+    thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
@@ -70,11 +71,29 @@ class Outline:
         following[self.first[1:] - 1] = self.first[:-1]
         return following
 
+    @property
+    def is_thin(self) -> Bool[np.ndarray, "points"]:
+        """Which walls are thin, those from each point to the next one."""
+        return np.isin(np.arange(len(self.points)), self.thin)
+
     @cached_property
-    def stays(self) -> Bool[np.ndarray, "points"]:
-        """Points that hardly move when walls move back: contacts of free space that no path may squeeze through."""
+    def _is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Contacts of free space that no path may squeeze through."""
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
         return (count[index] > 1) & (not self.may_squeeze)
+
+    @cached_property
+    def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
+        """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
+        following, at = self._following.copy(), np.flatnonzero(self._is_contact)
+        before = np.argsort(following)[at]
+        onward = (self.points[following] - self.points)[at].astype(float)
+        _, place = np.unique(self.points[at], axis=0, return_inverse=True)
+        order = np.lexsort((pseudo_angle(*onward.T), place.ravel()))
+        first = np.searchsorted(place.ravel()[order], place.ravel()[order])
+        is_last = np.append(np.diff(first) > 0, True)[: len(at)]
+        following[before[order]] = at[order[np.where(is_last, first, np.arange(len(at)) + 1)]]
+        return following
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
@@ -120,33 +139,46 @@ class Outline:
             is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
-    def moved_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative."""
-        moved = self.moved_points(distance)
-        return np.concatenate([moved, moved[self._following]], axis=1)
+    def moved_walls(self, distance: float, *, opens_contacts: bool = False) -> Float[np.ndarray, "walls 4"]:
+        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative.
 
-    def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
-        """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
-
-        Walls point as they do between the vertices. One that the lattice has made a point does no harm but at a sharp
-        end, where those beside it point against one another.
+        If contacts open, obstacles that touch recede from one another there.
         """
-        moved, following = self.moved_points(distance), self._following
-        walls, moved_walls = vertices[following] - vertices, moved[following] - moved
-        is_turned = (walls * moved_walls).sum(axis=1) < 0
-        is_point = (self.points[following] == self.points).all(axis=1)
-        before, after = walls[np.argsort(following)], walls[following]
-        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        return bool((is_turned & (~is_point | ((before * after).sum(axis=1) < _SHARP * lengths))).any())
+        following = self._following_past_contacts if opens_contacts else self._following
+        moved = self.positions - distance * self._moves(distance, opens_contacts)
+        return np.concatenate([moved, moved[following]], axis=1)
+
+    def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
+        """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
+        start, end = self.positions[self.thin], self.positions[self._following[self.thin]]
+        has_length = (start != end).any(axis=1)
+        start, end = start[has_length], end[has_length]
+        aside = distance * left_normal(end - start)
+        along = np.stack([aside[:, 1], -aside[:, 0]], axis=1)
+        corners = [start - along + aside, end + along + aside, end + along - aside, start - along - aside]
+        return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Points at which free space touches itself move a sixteenth as far back if no path may squeeze through: what
-        is beside them is then on both sides. A wall that the lattice has made a point moves with those beside it.
+        Some points do not move back: contacts that no path may squeeze through, points between thin walls, and ends
+        of walls so short that they would turn around, as of an obstacle that is thinner than twice the distance.
         """
-        following, points = self._following, self.positions
-        onward = points[following] - points
+        return self.positions - distance * self._moves(distance)
+
+    def stays(self, distance: float) -> Bool[np.ndarray, "points"]:
+        """Points that do not move so far back."""
+        return (self._moves(distance) == 0).all(axis=1)
+
+    def has_end_that_stays(self, distance: float) -> Bool[np.ndarray, "walls"]:
+        """Walls of which an end does not move so far back."""
+        stays = self.stays(distance)
+        return stays | stays[self._following]
+
+    def _moves(self, distance: float, opens_contacts: bool = False) -> Float[np.ndarray, "points 2"]:
+        """How far points move back, in distances. A wall that is a point moves with those beside it."""
+        following = self._following_past_contacts if opens_contacts else self._following
+        onward = self.positions[following] - self.positions
         has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
         normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
         before = np.empty_like(normal)
@@ -154,9 +186,13 @@ class Outline:
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
-        if distance > 0:
-            mitre[self.stays] *= _OF_CONTACTS
-        return points - distance * mitre
+        if distance <= 0 or opens_contacts:
+            return mitre
+        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)])] = 0.0
+        moved_onward = onward - distance * (mitre[following] - mitre)
+        turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
+        mitre[turned] = mitre[following[turned]] = 0.0
+        return mitre
 
     def write(self, body: BitWriter) -> None:
         """Append the outline to a file's body."""
@@ -261,6 +297,8 @@ class Stored:
         is_joined[j * (j - 1) // 2 + i] = True
         first.write_set(is_corner)
         first.write_set(is_joined)
+        if len(self.outline.thin):
+            first.write_set(self.outline.is_thin)
         write_tree(lists, self.tree)
         # Each node lists what its halves list together, and is written as what it does not list of its parent's.
         tree = self.tree
@@ -311,6 +349,8 @@ class Stored:
         j -= j * (j - 1) // 2 > number
         j += j * (j + 1) // 2 <= number
         edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
+        if not body.at_end():
+            outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. The tree and the leaves' lists.

@@ -46,16 +46,22 @@ def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
         construct_pairs(MAZE)
 
 
-@pytest.mark.full
-def test_walls_too_thin_for_32_bits_are_refused():
-    """Also where the lattice makes their end one point; a corner cut off by less is no end."""
-    for thin in (box(5, 0, 5 + 1e-5, 8), np.array([(2, 4), (8, 5), (2, 4 + 1e-7)])):
-        with pytest.raises(ValueError, match="thinner than"):
-            construct_pairs(Workspace(TEN, [thin]))
-    construct_pairs(Workspace(TEN, [[(2, 4), (8, 4), (8, 6 - 1e-7), (8 - 1e-7, 6), (2, 6)]]), max_bytes=512)
-    thin = Workspace(TEN, [box(5, 0, 5 + 1e-3, 8)])
-    pairs, x, y = construct_pairs(thin, max_bytes=512), np.array([[4.0, 1.0]]), np.array([[6.0, 1.0]])
-    np.testing.assert_allclose(pairs(x, y), VisibilityGraph(thin, y[0])(x), rtol=1e-6)
+@pytest.mark.parametrize(
+    ("obstacle", "x", "y", "length"),
+    [
+        (box(5, 0, 5 + 1e-5, 8), (4, 1), (6, 1), 2 * 50**0.5),
+        (np.array([(5, 0), (5 + 1e-8, 0), (5 + 1e-8, 8), (5, 8)]), (4, 1), (6, 1), 2 * 50**0.5),
+        # A needle, whose blunt end and tip paths go around.
+        (np.array([(2, 4), (8, 5), (2, 4 + 1e-7)]), (4, 3), (4, 6), 5**0.5 + 8**0.5),
+        (np.array([(2, 4), (8, 5), (2, 4 + 1e-7)]), (7, 4), (7, 6), 2 * 2**0.5),
+        # A corner cut off by less.
+        (np.array([(2, 4), (8, 4), (8, 6 - 1e-7), (8 - 1e-7, 6), (2, 6)]), (7, 7), (9, 5), 2 * 2**0.5),
+    ],
+)
+def test_walls_and_ends_that_32_bits_do_not_resolve_are_gone_around(obstacle, x, y, length):
+    pairs = construct_pairs(Workspace(TEN, [obstacle]), max_bytes=512).numpy()
+    lower, upper = pairs.bounds(x, y)
+    assert pairs(x, y) == pytest.approx(length, abs=5e-5) and lower <= length <= upper
 
 
 @pytest.mark.parametrize("step", [2.0, 0.25, 0.1, 0.001, 2.0**-12])

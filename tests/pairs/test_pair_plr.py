@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from pair_helpers import MAZE, exact, serpentine, stored_ring, two_batches
+from pair_helpers import MAZE, TEN, exact, serpentine, stored_ring, two_batches
 
 import plr_jax
-from plr_jax import Box, PairPLR, VisibilityGraph, scenes
+from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
 from plr_jax.pairs.stored import Stored
 from plr_jax.plr.tree import Cells, tree_of
@@ -209,3 +209,17 @@ def test_properties(maze):
     assert isinstance(maze, PairPLR) and maze.domain == Box((0, 0), (1, 1))
     assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
     assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes
+
+
+def test_lines_past_a_contact_are_straight_and_bounds_hold_there():
+    """Where two obstacles touch, the free wedge between them ends. Lines pass its end, however near."""
+    wedge = [[(5, 5), (0, 5.3), (0, 9), (5, 9)], [(5, 5), (0, 4.7), (0, 1), (5, 1)]]
+    pairs = construct_pairs(Workspace(TEN, wedge), max_bytes=2**12)
+    x = np.array([(5 + beside, y) for beside in (0, 1e-6, 5e-6, 1e-4) for y in (4.5, 5 - 1e-6)])
+    y = x * (1, 0) + (0, 6)
+    for answers in (pairs, pairs.numpy()):
+        lower, upper = answers.bounds(x, y)
+        np.testing.assert_allclose(answers(x, y), 6 - x[:, 1], rtol=1e-6)
+        assert (lower <= 6 - x[:, 1]).all() and (6 - x[:, 1] <= upper).all()
+        # From side to side nothing leads.
+        assert np.isinf(answers((8, 5), (1, 5)))

@@ -59,6 +59,15 @@ def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
     at_contact = (found.positions == 5).all(axis=1)
     moved = found.moved_points(0.1)[at_contact]
     assert at_contact.sum() == 2 and (np.ptp(moved, axis=0).max() > 0.1) == squeeze
+    # Lower bounds take obstacles for apart: corners (5, 5) move into both.
+    ends = {tuple(end) for end in found.moved_walls(0.1, opens_contacts=True).reshape(-1, 2).round(9).tolist()}
+    assert {(4.9, 4.9), (5.1, 5.1)} <= ends
+
+
+def test_ends_of_thin_obstacles_stay_where_their_sides_would_change_places():
+    found, _ = outline(Workspace(TEN, [box(5, 0, 5.25, 8)]))
+    assert sorted(found.positions[found.stays(0.2)].tolist()) == [[5, 8], [5.25, 8]]
+    assert not found.stays(0.1).any()
 
 
 FIELDS = ("corner", "edges", "leaf", "listed", "rounding", "points")
@@ -89,6 +98,7 @@ def check_read_as_written(stored):
     assert again.to_bytes() == stored.to_bytes()
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(again, name), getattr(stored, name))
+    np.testing.assert_array_equal(again.outline.thin, stored.outline.thin)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,0 +1,358 @@
+"""Small hostile workspaces, and what the package answers about them beside an exact oracle.
+
+``python tests/hostile_plans.py --plans 2000`` makes random workspaces of shared vertices, collinear walls, touching
+corners, walls flush with the bounds, spikes, and slivers and gaps of 1 to 10 tolerances. Goals lie beside walls,
+their ends, corners and contacts. It counts wrong answers, broken bounds, hangs and refusals.
+
+A point that the tolerance cannot tell from others has the answers of all of them: an answer is wrong if it lies
+outside of the interval of these. For points in 32 bits the tolerance is what 32 bits resolve.
+"""
+
+import argparse
+import signal
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from exact_plane import ExactPlane, as_exact
+
+from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
+
+_ASKED = ["oracle", "fields", "pairs"]  # the oracle, certified PLRs of one goal a plan, pairs
+_HANGS = 30  # seconds
+_NEAR = 2  # tolerances of the workspace: points as near to a wall may be on either side
+_NEAR_32 = 1e-7  # widths: the same of points in 32 bits
+_NEAR_PAIRS, _SLACK_PAIRS = 8e-6, 2e-5  # widths: what pairs are documented to resolve, and how much they may lack
+_SHARP = 0.6  # cosine of the angle of an obstacle's tip that is thinner than that, as near to the tip
+_OFFSETS = [0, 0.5, 1, 2, 3]  # tolerances from walls and their ends
+_STEPS = [1e-6, 1e-3]  # widths from them
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A workspace's arguments, goals, and points to ask for."""
+
+    bounds: Any
+    obstacles: list[Any]
+    goals: np.ndarray
+    points: np.ndarray
+    tolerance: float
+
+
+def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Plan:
+    rng = np.random.default_rng([seed, number])
+    kind = rng.choice(["lattice", "decimals", "floats"])
+    lo, hi = {"lattice": ((0, 0), (8, 6)), "decimals": ((0, 0), (1, 1)), "floats": ((-3.7, 2.1), (5.3, 9.4))}[kind]
+    lo, hi = np.array(lo, float), np.array(hi, float)
+    tolerance = 1e-9 * float((hi - lo).max())
+
+    def place(count: int) -> np.ndarray:
+        """Random points."""
+        if kind == "floats":
+            return lo + rng.random((count, 2)) * (hi - lo)
+        parts = 8 if kind == "lattice" else 1000
+        scaled = rng.integers(0, np.rint((hi - lo) * (1 if kind == "lattice" else parts)).astype(int) + 1, (count, 2))
+        return scaled.astype(float) if kind == "lattice" else scaled / parts
+
+    def rectangle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        (x0, y0), (x1, y1) = np.minimum(a, b), np.maximum(a, b)
+        return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+    def star(ring: np.ndarray) -> np.ndarray:
+        middle = ring.mean(axis=0)
+        return ring[np.argsort(np.arctan2(*(ring - middle).T[::-1]))]
+
+    rings: list[np.ndarray] = []
+
+    def ring_of(way: str) -> np.ndarray:
+        a, b, c = place(3)
+        thin = rng.uniform(1, 10) * tolerance
+        old = rings[rng.integers(len(rings))] if rings else rectangle(a, c)
+        vertex = old[rng.integers(len(old))]
+        if way == "rectangle":
+            return rectangle(a, b)
+        if way == "polygon":
+            return star(place(int(rng.integers(3, 6))))
+        if way == "touching":
+            return star(np.stack([vertex, a, b]))
+        if way == "opposite":  # a rectangle whose corner is that of another ring
+            return rectangle(vertex, a)
+        if way == "collinear":  # with a side in line with that of another one
+            axis = rng.integers(2)
+            one, other = a.copy(), b.copy()
+            one[axis] = vertex[axis]
+            return rectangle(one, other)
+        if way == "flush":
+            axis, end = rng.integers(2), rng.choice([lo, hi])
+            one = a.copy()
+            one[axis] = end[axis]
+            return rectangle(one, b)
+        along = b - a if np.any(b != a) else np.array([1.0, 0.0])
+        across = np.array([-along[1], along[0]]) / np.hypot(*along)
+        if way == "spike":
+            foot = vertex if rng.random() < 0.5 else a
+            return np.stack([foot, foot + thin * across, foot + along * rng.uniform(0.2, 1)])
+        if way == "sliver":
+            axis = rng.integers(2)
+            one, other = (rng.choice([vertex, a])).copy(), b.copy()
+            other[axis] = one[axis] + thin
+            return rectangle(one, other)
+        if way == "slanted":
+            return np.stack([a, b, b + thin * across, a + thin * across])
+        # A gap: a rectangle so far beside the upper end of another ring.
+        axis, edge = rng.integers(2), old.max(axis=0)
+        one, other = old.min(axis=0).copy(), edge.copy()
+        one[axis], other[axis] = edge[axis] + thin, edge[axis] + thin + abs(b - a)[axis]
+        return rectangle(one, other)
+
+    ways = ["rectangle", "polygon", "touching", "opposite", "collinear", "flush", "spike", "sliver", "slanted", "gap"]
+    for _ in range(rng.integers(2, 8)):
+        ring = ring_of(str(rng.choice(ways, p=np.array([3, 2, 3, 3, 2, 2, 1, 1, 1, 1]) / 19)))
+        polygon = shapely.Polygon(ring)
+        scale = np.ptp(ring, axis=0).max()
+        if polygon.is_valid and polygon.area > 1e-11 * scale**2 and len(np.unique(ring, axis=0)) == len(ring):
+            rings.append(ring)
+    ends = np.concatenate(
+        [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in [rectangle(lo, hi), *rings]]
+    )
+
+    def beside(count: int) -> Iterator[np.ndarray]:
+        """Points beside walls, their ends and corners."""
+        for start, end in rng.permutation(ends)[np.arange(count) % len(ends)]:
+            along = (end - start) / np.hypot(*(end - start))
+            across = np.array([-along[1], along[0]])
+            offsets = [tolerance * each for each in _OFFSETS] + [each * (hi - lo).max() for each in _STEPS]
+            away = rng.choice(offsets) * rng.choice([-1, 1])
+            how = rng.choice(["wall", "end", "vertex"], p=[0.4, 0.4, 0.2])
+            if how == "wall":
+                yield start + rng.random() * (end - start) + away * across
+            elif how == "end":
+                yield start + rng.choice(offsets) * rng.choice([1, 1, -1]) * along + away * across
+            else:
+                angle = rng.uniform(0, 2 * np.pi)
+                yield start + away * np.array([np.cos(angle), np.sin(angle)])
+
+    near = np.array(list(beside(8 * (goals + points)))).clip(lo, hi)
+    blocked = shapely.buffer(shapely.union_all([shapely.Polygon(ring) for ring in rings]), -tolerance / 2)
+    near = near[~shapely.intersects_xy(blocked, *near.T)]
+    far = lo + rng.random((points, 2)) * (hi - lo)
+    far = far[~shapely.intersects_xy(blocked, *far.T)]
+    return Plan(
+        (lo, hi), rings, near[:goals], np.concatenate([far, near[goals : goals + points - len(far) // 2]]), tolerance
+    )
+
+
+@dataclass
+class Judge:
+    """What is exact of a plan, and what was answered wrongly."""
+
+    plan: Plan
+    boundary: np.ndarray
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+
+    @cached_property
+    def given(self) -> ExactPlane:
+        return ExactPlane(self.plan.bounds, self.plan.obstacles)
+
+    @cached_property
+    def rounded(self) -> ExactPlane:
+        """The plane as the workspace rounds it."""
+        return ExactPlane(self.boundary)
+
+    def interval(self, plane: ExactPlane, x: Any, y: Any, radius: float) -> tuple[float, float]:
+        """Least and largest distance of the points that are as near."""
+        ends = [y, *plane.near(y, radius)]
+        values = np.concatenate([plane.distances(each, ends) for each in [x, *plane.near(x, radius)]])
+        return float(values.min()), float(values.max())
+
+    def values(
+        self, name: str, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, slack: float, radius: float
+    ):
+        """Count values that are wrong."""
+        self.counts[f"{name}: asked"] += len(x)
+        with np.errstate(invalid="ignore"):
+            doubtful = ~((got == exact) | (np.abs(got - exact) <= slack))
+        for i in np.flatnonzero(doubtful):
+            allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
+            if any(lo - slack <= got[i] <= hi + slack for lo, hi in allowed):
+                self.counts[f"{name}: within the tolerance"] += 1
+            else:
+                self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
+
+    def pairs(self, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, width: float):
+        """Count distances that are wrong and not, as documented, too short beside what 32 bits do not resolve."""
+        radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
+        may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
+        may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)
+        self.counts["pairs: too short, where 32 bits do not resolve"] += int((may_lack & (got < exact - slack)).sum())
+        self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius)
+
+    def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
+        """Whether two walls, or both walls of a tip, are as near."""
+        near = self.boundary[shapely.dwithin(shapely.linestrings(self.boundary), shapely.Point(x), radius)]
+        for one in near:
+            for other in near:
+                shared = (one[:, None] == other).all(axis=2)
+                if not shared.any():
+                    return True
+                if shared.sum() == 1:
+                    (i,), (j,) = np.nonzero(shared)
+                    u, v = one[1 - i] - one[i], other[1 - j] - other[j]
+                    if u @ v > _SHARP * np.hypot(*u) * np.hypot(*v):
+                        return True
+        vertices = {tuple(end) for wall in near for end in wall.tolist() if np.hypot(*(end - x)) <= radius}
+        return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
+
+    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float, radius: float):
+        """Count bounds that are broken, and those that are for points in 32 bits alone."""
+        lower, upper = (np.asarray(each, float) for each in got)
+        reached = np.isfinite(exact)
+        self.counts[f"{name}: asked"] += int(reached.sum())
+        for i in np.flatnonzero(reached & ((lower > exact + slack) | (upper < exact - slack))):
+            allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
+            is_excused = any(lower[i] <= hi + slack and upper[i] >= lo - slack for lo, hi in allowed)
+            kind = "broken, but for what 32 bits resolve" if is_excused else "broken"
+            self.fail(f"{name}: {kind}", goal, x[i], (lower[i], upper[i]), exact[i], allowed[0])
+
+    def sight(self, name: str, goal: Any, x: np.ndarray, got: np.ndarray):
+        self.counts[f"{name}: asked"] += len(x)
+        for each, answer in zip(x, got, strict=True):
+            if bool(answer) != self.given.sees(goal, each) and not self._may_see(goal, each, bool(answer)):
+                self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
+
+    def _may_see(self, a: np.ndarray, b: np.ndarray, answer: bool) -> bool:
+        """Whether segments a tolerance beside another one are answered so."""
+        radius, way = _NEAR * self.plan.tolerance, b - a
+        if np.hypot(*way) <= 4 * radius:
+            return True
+        across = radius * np.array([-way[1], way[0]]) / np.hypot(*way)
+        for plane in (self.given, self.rounded):
+            starts, ends = ([p, *plane.near(p, radius), p + across, p - across] for p in (a, b))
+            if any(plane.sees(p, q) == answer for p in starts for q in ends):
+                return True
+        return False
+
+    def fail(self, kind: str, goal: Any, x: Any, got: Any, exact: Any, allowed: Any):
+        self.counts[kind] += 1
+        rings = [ring.tolist() for ring in self.plan.obstacles]
+        bounds = [end.tolist() for end in self.plan.bounds]
+        self.failures.append(
+            f"# {kind}: got {got}, right {exact}, of points within the tolerance {allowed}\n"
+            f"workspace = Workspace({bounds}, {rings})\n"
+            f"goal, x = {np.asarray(goal).tolist()}, {np.asarray(x).tolist()}"
+        )
+
+
+def judge(plan: Plan, ask: Collection[str]) -> Judge:
+    """Ask the package all about a plan."""
+    workspace = Workspace(plan.bounds, plan.obstacles)
+    result = Judge(plan, workspace.boundary.segments)
+    width, x = float(workspace.bounds.width.max()), plan.points
+    radius, slack = _NEAR * plan.tolerance, 4 * plan.tolerance
+    goals = [goal for goal in plan.goals if workspace.is_free(goal[None])[0]]
+    if not goals:
+        result.counts["plans without a goal"] += 1
+        return result
+    oracle = VisibilityGraph(workspace, goals[0])
+    exact = [result.given.distances(goal, x) for goal in goals]
+    # Of points in obstacles pairs answer nothing that means something.
+    is_free = np.array([bool(result.given.sectors_at(as_exact(each))) for each in x])
+    pairs = None
+    if "pairs" in ask:
+        pairs = _refusing(result, "pairs", lambda: construct_pairs(workspace, max_bytes=2**14))
+    for number, (goal, right) in enumerate(zip(goals, exact, strict=True)):
+        own = oracle.with_goal(goal)
+        if "oracle" in ask:
+            result.values("VisibilityGraph", goal, x, own(x), right, slack, radius)
+            result.values("between", goal, x, own.between(x, np.tile(goal, (len(x), 1))), right, slack, radius)
+            result.sight("is_visible", goal, x, workspace.is_visible(np.tile(goal, (len(x), 1)), x))
+        if pairs is not None:
+            numpy = pairs.numpy()
+            if result.given.sectors_at(as_exact(goal)):
+                got = np.asarray(numpy(x[is_free], goal), float)
+                result.pairs(goal, x[is_free], got, right[is_free], width)
+            result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), right, slack, _NEAR_32 * width)
+        if number or "fields" not in ask or not np.isfinite(own(x)).any():
+            continue
+        for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
+            name = f"{leaf}s of {most} bytes"
+            plr = _refusing(
+                result,
+                name,
+                lambda leaf=leaf, most=most, own=own: construct(
+                    own, workspace.bounds, leaf=leaf, max_bytes=most, certified=True
+                ),
+            )
+            if plr is not None:
+                result.bounds(name, goal, x, plr.numpy().bounds(x), right, slack, _NEAR_32 * width)
+    return result
+
+
+def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
+    """What is made, None if it is refused."""
+    result.counts[f"{name}: made"] += 1
+    try:
+        signal.alarm(_HANGS)
+        return make()
+    except RuntimeError as error:
+        result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0], None, None, None)
+    except ValueError as error:
+        result.counts[f"{name}: refused: {' '.join(str(error).split()[:12])}"] += 1
+
+
+def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
+    """A plan and what is wrong; hangs and errors are counted as well."""
+    plan = hostile_plan(seed, number)
+    signal.alarm(_HANGS)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return judge(plan, ask)
+    except ValueError as error:
+        result = Judge(plan, np.zeros((0, 2, 2)))
+        result.counts[f"refused: {' '.join(str(error).split()[:12])}"] += 1
+        result.fail("refused", plan.goals[0], plan.points[0], str(error), None, None)
+    except Exception as error:
+        result = Judge(plan, np.zeros((0, 2, 2)))
+        result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0], None, None, None)
+    finally:
+        signal.alarm(0)
+    return result
+
+
+def _give_up(*_: Any) -> None:
+    raise RuntimeError("hangs")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--plans", type=int, default=2_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first plan")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--ask", nargs="+", choices=_ASKED, default=_ASKED, help="what is asked")
+    arguments = parser.parse_args()
+    kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
+    print(f"what fails is in {kept}", flush=True)
+    signal.signal(signal.SIGALRM, _give_up)
+    counts, began = Counter(), time.perf_counter()
+    for number in range(arguments.first, arguments.first + arguments.plans):
+        result = trial(arguments.seed, number, arguments.ask)
+        counts += result.counts
+        if result.failures:
+            (kept / f"{number}.txt").write_text("\n\n".join(result.failures) + "\n")
+        if (number + 1 - arguments.first) % 100 == 0 or number + 1 == arguments.first + arguments.plans:
+            print(f"{number + 1 - arguments.first} plans, {time.perf_counter() - began:.0f} s")
+            print("".join(f"  {name}: {count:,}\n" for name, count in sorted(counts.items())), flush=True)
+
+
+if __name__ == "__main__":
+    main()
