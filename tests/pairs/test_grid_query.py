@@ -93,7 +93,7 @@ def test_windows_are_what_searches_find(connectivity, radius):
     ("arguments", "message"),
     [
         (([[0, 0]], [[0, 0]], -1), "radius must be an integer >= 0"),
-        (([[0, 0]], [0, 0], 1), r"must be \(n, 2\) both"),
+        (([[0, 0]], [0, 0], 1), r"must be points \(x, y\), \(n, 2\) both"),
         (([[0, 0]], [[0, 0], [1, 1]], 1), r"got \(1, 2\) and \(2, 2\)"),
         (([[0, 0, 0]], [[0, 0, 0]], 1), r"goals must have shape"),
     ],
