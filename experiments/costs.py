@@ -1,5 +1,8 @@
 """Costs that vary from place to place: estimates and proven bounds beside second-order fast marching of scikit-fmm.
 
+``details`` are what grids miss: rivers and roads one cell wide at ratios from 3 to 255, a bar with a gap, and layers in
+space, beside scikit-fmm over the cells of the raster, of which the PLR has as many leaves.
+
 Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. The truth is a fast march of
 3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
 about as many nodes as the PLR has cells, and is interpolated between them. Seconds are of all cores, compiled before;
@@ -153,7 +156,65 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
-SECTIONS = {each.__name__: Section(each) for each in (estimates, bounds)}
+def _details() -> dict[str, tuple[RasterCost, Points]]:
+    """Rasters whose details are one cell wide, and goals in the middle of cells."""
+    made = {}
+    for ratio in (3.0, 20.0, 255.0):
+        for name, line, beside in (("river", ratio, 1.0), ("road", 1.0, ratio)):
+            values = np.full((45, 60), beside)
+            values[20, :50] = line
+            values[20:, 35] = line
+            made[f"{name} {ratio:g}"] = values, (10.5, 30.5)
+    bar = np.ones((45, 60))
+    bar[20, :50] = np.inf
+    made["bar"] = bar, (10.5, 30.5)
+    layers = np.repeat([1.0, 0.7, 0.8, 0.5, 0.3], 4)[:, None, None] * np.ones((20, 20, 20))
+    made["layers"] = layers, (10.5, 10.5, 2.5)
+    return {
+        name: (RasterCost(values, (np.zeros(values.ndim), values.shape[::-1]), "nearest"), np.array(goal))
+        for name, (values, goal) in made.items()
+    }
+
+
+def _over_cells(cost: RasterCost, goal: Points, parts: int) -> Distance:
+    """The cost-to-go by scikit-fmm over the cells of a raster, cut into an odd number of parts along each axis."""
+    values, dim = cost.values.T, cost.dim
+    for axis in range(dim):
+        values = values.repeat(parts, axis)
+    centers = [(np.arange(n) + 0.5) / parts for n in values.shape]
+    from_goal = np.linalg.norm(np.stack(np.meshgrid(*centers, indexing="ij"), -1) - goal, axis=-1)
+    radius, at_goal = 1.5 / parts, float(cost(goal[None])[0])
+    blocked = np.isinf(values)
+    front = np.ma.MaskedArray(from_goal - radius, blocked)
+    time: Any = skfmm.travel_time(front, 1 / np.where(blocked, 1.0, values), dx=1 / parts, order=2)
+    found = np.where(from_goal < radius, from_goal * at_goal, np.ma.filled(time, np.nan) + radius * at_goal)
+    return RegularGridInterpolator(centers, found, bounds_error=False, fill_value=None)
+
+
+def details(seed: int, smoke: bool) -> dict[str, Any]:
+    rows, rng = [], np.random.default_rng(seed)
+    for name, (cost, goal) in list(_details().items())[:: 6 if smoke else 1]:
+        parts = (5 if smoke else 25) if cost.dim == 2 else (3 if smoke else 7)
+        x = rng.random((POINTS, cost.dim)) * cost.domain.hi
+        truth, half = (_over_cells(cost, goal, each)(x) for each in (parts, parts // 2 + (parts // 2 + 1) % 2))
+        x, truth, half = (each[np.isfinite(truth)] for each in (x, truth, half))
+        plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=cost.values.size, certified=False)
+        found, rival = np.asarray(plr(x), float), _over_cells(cost, goal, 1)(x)
+        rows.append(
+            {
+                "map": name,
+                "leaves": plr.num_leaves,
+                "error": relative_error(found, truth),
+                "largest": float(np.nanmax(np.abs(found - truth)) / truth.mean()),
+                "its error": relative_error(rival, truth),
+                "its largest": float(np.nanmax(np.abs(rival - truth)) / truth.mean()),
+                "of the truth": relative_error(half, truth),
+            }
+        )
+    return {"rows": rows}
+
+
+SECTIONS = {each.__name__: Section(each) for each in (estimates, details, bounds)}
 
 if __name__ == "__main__":
     run("costs", __doc__, SECTIONS)

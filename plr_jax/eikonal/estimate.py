@@ -289,13 +289,16 @@ def _marched(
     differs = (factor > _NEARLY * at_goal) | (_NEARLY * factor < at_goal)
     stops = is_open & (np.isinf(straight) | differs)
     begin = max(step * min(_RADIUS[len(side)], steps[stops].min(initial=np.inf)), straight.min() + step / 2)
-    is_inside = straight < begin
+    is_inside = (straight < begin) & (~differs | (straight == straight.min()))
     cost = np.where(is_inside, straight, np.inf)
     if not is_inside.any() or (is_inside == is_open).all():
         return cost
-    # 2. March from there.
-    sees, periodic = np.isfinite(straight), cast(Any, list(space.domain.periodic))
-    phi = np.where(sees, lengths - begin / (weight * (factor + at_goal) / 2), np.maximum(lengths, step / weight))
+    # 2. March from there. Of a node beyond a jump of costs, the front is as far as if it were not there, or farther.
+    phi = lengths - begin / (weight * (factor + at_goal) / 2)
+    phi[differs] = np.maximum(phi, lengths - begin / (weight * at_goal))[differs]
+    phi[np.isinf(straight)] = np.maximum(lengths, step / weight)[np.isinf(straight)]
+    phi = np.where(is_inside, phi, np.maximum(phi, 1e-9 * step / weight))
+    periodic = cast(Any, list(space.domain.periodic))
     beyond = skfmm.travel_time(
         np.ma.MaskedArray(phi, ~is_open),
         1 / (weight * factor),
