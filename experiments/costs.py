@@ -1,7 +1,7 @@
 """Costs that vary from place to place: estimates and proven bounds beside second-order fast marching of scikit-fmm.
 
-``details`` are what grids miss: rivers and roads one cell wide at ratios from 3 to 255, a bar with a gap, and layers in
-space, beside scikit-fmm over the cells of the raster, of which the PLR has as many leaves.
+``details`` are what grids miss: rivers and roads one cell wide at ratios from 3 to 255, a bar with a gap, and layers
+in space, beside scikit-fmm over the cells of the raster, of which the PLR has as many leaves.
 
 Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. The truth is a fast march of
 3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
