@@ -40,8 +40,10 @@ from plr_jax.spaces import (
 )
 
 MOST_AXES = 3
-# Nodes of a grid, by the number of axes: of fast marching, and of paths over a stencil.
-_NODES, _STENCIL_NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 40_000, 3: 100_000}
+# Nodes of a grid, by the number of axes: of fast marching over cells that are given and over others, whose nodes take
+# longer to classify, and of paths over a stencil.
+_CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
+_STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
 # Or so many for each leaf; and most nodes, which take about 200 bytes of memory each.
 _NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
 # Share of a count by which it may be off a whole number.
@@ -117,7 +119,7 @@ def straight_costs(
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_leaves: int = 0
 ) -> GridEstimate:
-    """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and a million in space.
+    """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and 200,000 to a million in space.
 
     The nodes are the centers of the voxels of a :class:`VoxelSpace` or of the cells of a :class:`RasterCost` that
     fills the domain, or those of a refinement of these cells into an odd number along each axis.
@@ -130,9 +132,7 @@ def grid_estimate(
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
-    box, shape = _grid(
-        space, cost_map, max(num_leaves * _NODES_A_LEAF, (_NODES if is_isotropic else _STENCIL_NODES)[dim])
-    )
+    box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
     side = box.width / shape
     node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
     cells, is_open = _open_nodes(space, box, shape)
@@ -182,8 +182,12 @@ def grid_estimate(
     return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), way, largest)
 
 
-def _grid(space: ConfigurationSpace, cost_map: CostMap | None, num_nodes: int) -> tuple[Box, Shape]:
+def _grid(
+    space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
+) -> tuple[Box, Shape]:
     """Return a box whose cells have nodes at their centers, and how many there are along each axis.
+
+    There are about as many nodes as are asked for, or as many as are usual if these are more.
 
     Without a raster the first and the last nodes are on the faces of the domain, and steps are round decimals where
     that fits: there many maps have walls.
@@ -197,6 +201,8 @@ def _grid(space: ConfigurationSpace, cost_map: CostMap | None, num_nodes: int) -
         sides = cost_map.domain.width / cost_map.values.shape[::-1]
         num_nodes = max(num_nodes, int(min(np.prod(domain.width / sides), _MOST_NODES)))
         cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain else None
+    usual = _STENCIL_NODES if not is_isotropic else _NODES if cells is None else _CELL_NODES
+    num_nodes = max(num_nodes, usual[domain.dim])
     if cells is not None and cells.prod() <= _MOST_NODES:
         refinement = 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
         return domain, tuple((cells * refinement).tolist())

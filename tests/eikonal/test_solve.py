@@ -7,6 +7,8 @@ from plr_jax import (
     LipschitzCost,
     PlaneSpace,
     RasterCost,
+    RectangleRobot,
+    RigidBodySpace,
     VisibilityGraph,
     VoxelSpace,
     Workspace,
@@ -83,6 +85,16 @@ def test_an_estimate_of_a_goal_that_no_node_sees_is_refused():
     walls = [(0, 0), (0.5711, 1)], [(0.5713, 0), (1, 1)], [(0, 0), (1, 0.3511)], [(0, 0.3513), (1, 1)]
     with pytest.raises(ValueError, match="must be seen from a node of the grid of 401 x 401 nodes"):
         solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.5712, 0.3512), certified=False)
+
+
+@pytest.mark.full
+def test_an_estimate_of_a_body_that_turns_is_of_planes():
+    space, goal = RigidBodySpace(Workspace(((0, 0), (3, 2))), RectangleRobot(0.4, 0.2)), (2.0, 1.0, 3.0)
+    plr = solve_eikonal(space, goal, certified=False)
+    q = np.random.default_rng(0).uniform((0.4, 0.4, -3.1), (2.6, 1.6, 3.1), (500, 3))
+    truth = space.motion_cost.lengths(q, np.broadcast_to(goal, q.shape), space.domain)
+    assert plr.leaf.name == "plane"
+    assert np.abs(np.asarray(plr(q)) - truth).mean() < 0.03 * truth.mean()
 
 
 def test_an_estimate_has_leaves_where_they_serve_most():
