@@ -6,7 +6,7 @@ The lower bound is found on meshes that are refined where the flow of the convex
 import math
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -19,11 +19,12 @@ from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
-from plr_jax.plr._construct import construct
+from plr_jax.plr._construct import BuildOptions, construct
 from plr_jax.plr._plr import PLR
+from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.frame import max_axis_depth
-from plr_jax.plr.growth import ConstructionInterrupted, check_memory
-from plr_jax.plr.sampling import sample_pattern
+from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_error
+from plr_jax.plr.sampling import CellFit, sample_pattern
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
 
 # Most cells by default, by the number of axes, and beyond; and leaves of an estimate alone.
@@ -33,6 +34,8 @@ _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2
 # Bytes of memory a cell at the least.
 _BYTES_A_CELL = 4_000
+# Splits along an axis of leaves that are cut off from the goal, but border on leaves that are not.
+_CUT_OFF_SPLITS = 6
 # Below this cost, 32 bits hold no distances.
 _LEAST_COST = 1e-30
 # Share of the domain by which a goal that is free to a tolerance may be outside.
@@ -82,8 +85,8 @@ def solve_eikonal(
     Returns:
         The PLR, of continuous leaves, or of planes if nothing is proven and motions of several blocks of axes add up
         (as those of a body that turns). ``plr(x)`` is finite wherever some path leads to the goal. The PLR does not
-        test collision: points in obstacles, and points that share a leaf with points that reach the goal or lie in a
-        leaf beside such a leaf, may have finite answers too. Upper bounds are ``inf`` where no path was found.
+        test collision: points in obstacles, and points cut off from the goal within a 64th of the domain from points
+        that reach it, may have finite answers too. Upper bounds are ``inf`` where no path was found.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) once there is a first solution, of which the PLR then is.
@@ -135,7 +138,8 @@ def solve_eikonal(
         _require_costs(guide.largest)
         # Free space of bodies that turn is thin. Continuous leaves reach through walls there, and planes do not.
         leaf = "continuous" if len(space.motion_cost.blocks) == 1 else "plane"
-        return construct(guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=max_bytes, seed=seed)
+        options = BuildOptions(should_split=partial(_error_or_cut_off, space))
+        return construct(guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=max_bytes, seed=seed, options=options)
     most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
     check_memory(2.0 * most, _BYTES_A_CELL / 2)
     field = _field(cells, cost_map, at, most, tolerance)
@@ -147,6 +151,25 @@ def solve_eikonal(
     ):
         return plr
     return plr_of_bytes(estimate, int(most_bytes), int(seed), proven)
+
+
+def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
+    """Return the largest error of each leaf, and more than that for large leaves that are cut off from the goal.
+
+    A leaf from which no path leads to the goal borrows the function of a leaf beside it, for points on the face that
+    rounding places in it. So a leaf that holds free points, but none inside that reaches the goal, has to be small.
+    """
+    error = largest_error(fit)
+    inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # beyond a face may be another side of a wall
+    lost = np.flatnonzero(~fit.reachable[:, inside].any(axis=1))
+    lenders = np.flatnonzero(fit.reachable.any(axis=1))
+    beside = neighbor_of_largest_contact(fit.cells, lost, lenders, space.domain.periodic) >= 0
+    lost = lost[beside & (fit.cells.depth[lost] < _CUT_OFF_SPLITS).any(axis=1)]
+    q = fit.cells[lost].points(fit.pattern.u[inside], space.domain)
+    is_free = as_booleans("is_free", space.is_free(q.reshape(-1, q.shape[2])), q.shape[0] * q.shape[1])
+    cut_off = lost[is_free.reshape(q.shape[:2]).any(axis=1)]
+    error[cut_off] = np.ldexp(error.max(), fit.cells.depth[cut_off].sum(axis=1))
+    return error
 
 
 def _require_costs(largest: float) -> None:

@@ -97,6 +97,21 @@ def test_an_estimate_of_a_body_that_turns_is_of_planes():
     assert np.abs(np.asarray(plr(q)) - truth).mean() < 0.03 * truth.mean()
 
 
+@pytest.mark.parametrize("cells", [4, 25])
+def test_points_that_a_contact_of_obstacles_cuts_off_answer_inf(cells):
+    """Free squares that touch in a corner, and a diagonal of obstacles that touch in corners."""
+    free = np.kron(np.eye(2, dtype=bool), np.ones((cells, cells), bool))
+    near, far = (np.array([(share, share)]) * 2 * cells for share in (0.44, 0.56))
+    for space in (PlaneSpace(Workspace.from_mask(free, tolerance=0)), VoxelSpace(free.T)):
+        plr = solve_eikonal(space, near[0], certified=False)
+        assert plr(far).tolist() == [np.inf]
+        assert plr([[0.1, 0.1]]) == pytest.approx(np.linalg.norm(near - 0.1), rel=1e-3)
+    plr = solve_eikonal(
+        PlaneSpace(Workspace.from_mask(~np.eye(cells, dtype=bool), tolerance=0)), (cells - 0.1, 0.1), certified=False
+    )
+    assert plr(np.array([(0.3, 0.7), (0.1, 0.9)]) * cells).tolist() == [np.inf, np.inf]
+
+
 def test_an_estimate_has_leaves_where_they_serve_most():
     """A road of one cell among dear ones: its ends are as far apart as they look, also in a small file."""
     values = np.full((60, 60), 10.0)
