@@ -7,6 +7,7 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -136,10 +137,12 @@ def solve_eikonal(
                 "too close to obstacles. Move it, or leave out certified=False."
             )
         _require_costs(guide.largest)
+        limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
         # Free space of bodies that turn is thin. Continuous leaves reach through walls there, and planes do not.
-        leaf = "continuous" if len(space.motion_cost.blocks) == 1 else "plane"
+        if len(space.motion_cost.blocks) > 1:
+            return construct(guide, domain, leaf="plane", **limits)
         options = BuildOptions(should_split=partial(_error_or_cut_off, space))
-        return construct(guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=max_bytes, seed=seed, options=options)
+        return construct(guide, domain, leaf="continuous", options=options, **limits)
     most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
     check_memory(2.0 * most, _BYTES_A_CELL / 2)
     field = _field(cells, cost_map, at, most, tolerance)
