@@ -54,8 +54,8 @@ _REACH = {1: 1, 2: 3, 3: 2}
 _BLOCK = 8
 # Share of a step around a node that must be free: nodes that touch a wall are closed, and so are contacts.
 _CLEAR = 1e-3
-# Radius of the first front in steps, by the number of axes, unless costs within differ from that at the goal by more
-# than a factor.
+# Radius of the first front in shortest steps, by the number of axes, unless costs within differ from that at the goal
+# by more than a factor.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 
 Points = Float[np.ndarray, "n dim"]
@@ -150,9 +150,9 @@ def grid_estimate(
 
     # 2. The cost of straight motions from open nodes around the goal that see it; elsewhere inf.
     to_goal = domain.difference(np.broadcast_to(goal, (prod(shape), dim)), node.reshape(-1, dim))
-    steps = np.linalg.norm(to_goal / side, axis=1).reshape(shape)
     lengths = np.linalg.norm(to_goal, axis=1).reshape(shape)
-    near = np.argwhere(is_open & (steps < _RADIUS[dim] + 1))
+    radius = _RADIUS[dim] * float(side.min())
+    near = np.argwhere(is_open & (lengths < radius + 2 * np.linalg.norm(side)))
     change = to_goal.reshape(*shape, dim)[tuple(near.T)]
     sees = space.are_free(node[tuple(near.T)], node[tuple(near.T)] + change)
     near, change = tuple(near[sees].T), change[sees]
@@ -170,7 +170,7 @@ def grid_estimate(
             place = (boundary.vertices[boundary.contacts] - box.lo) / side - 0.5
             for corner in product((0, 1), repeat=2):
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
-        cost = _marched(space, is_open, factor, at_goal[0], straight, lengths, steps, side)
+        cost = _marched(space, is_open, factor, at_goal[0], straight, lengths, radius, side)
         if cost_map is None:
             cost = np.minimum(cost, straight)
         way = _steepest(cost, side, domain.periodic)
@@ -284,26 +284,27 @@ def _marched(
     at_goal: float,
     straight: Costs,
     lengths: Costs,
-    steps: Costs,
+    radius: float,
     side: Sides,
 ) -> Costs:
     """March from a small circle around the goal, within which motions are straight."""
     # 1. The front starts where straight motions cost as much as its radius does at the goal. Within are no nodes that
     #    are not seen from the goal, and none where costs differ much, but the cheapest one.
     weight = space.motion_cost.blocks[0][1]
-    step = float(side.mean()) * weight * at_goal
+    rate = weight * at_goal
     differs = (factor > _NEARLY * at_goal) | (_NEARLY * factor < at_goal)
     stops = is_open & (np.isinf(straight) | differs)
-    begin = max(step * min(_RADIUS[len(side)], steps[stops].min(initial=np.inf)), straight.min() + step / 2)
+    begin = rate * min(radius, lengths[stops].min(initial=np.inf))
+    begin = max(begin, straight.min() + rate * float(side.min()) / 2)
     is_inside = (straight < begin) & (~differs | (straight == straight.min()))
     cost = np.where(is_inside, straight, np.inf)
     if not is_inside.any() or (is_inside == is_open).all():
         return cost
     # 2. March from there. Of a node beyond a jump of costs, the front is as far as if it were not there, or farther.
     phi = lengths - begin / (weight * (factor + at_goal) / 2)
-    phi[differs] = np.maximum(phi, lengths - begin / (weight * at_goal))[differs]
-    phi[np.isinf(straight)] = np.maximum(lengths, step / weight)[np.isinf(straight)]
-    phi = np.where(is_inside, phi, np.maximum(phi, 1e-9 * step / weight))
+    phi[differs] = np.maximum(phi, lengths - begin / rate)[differs]
+    phi[np.isinf(straight)] = np.maximum(lengths, side.max())[np.isinf(straight)]
+    phi = np.where(is_inside, phi, np.maximum(phi, 1e-9 * side.min()))
     periodic = cast(Any, list(space.domain.periodic))
     beyond = skfmm.travel_time(
         np.ma.MaskedArray(phi, ~is_open),

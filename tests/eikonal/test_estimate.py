@@ -96,6 +96,16 @@ def test_voxels_that_touch_in_edges_or_corners_do_not_join(dim):
     assert estimate(last[None]).tolist() == [np.inf]
 
 
+def test_sides_of_voxels_may_differ_tenfold():
+    """A wall with a hole of one voxel, straight through which a path leads."""
+    free = np.ones((40, 30, 6), bool)
+    free[20] = False
+    free[20, 15, 3] = True
+    estimate = grid_estimate(VoxelSpace(free, ((0, 0, 0), (4, 30, 1.2))), None, np.array([0.5, 15.5, 0.7]))
+    found = estimate(np.array([(3.5, 15.5, 0.7), (1.5, 15.5, 0.7), (0.5, 17.5, 0.7)]))
+    np.testing.assert_allclose(found, [3, 1, 2], rtol=0.02)
+
+
 def test_a_disc_passes_gaps_that_are_as_wide_as_it_is_and_no_narrower_ones():
     for width, reaches in ((0.401, True), (0.399, False)):
         workspace = Workspace(((0, 0), (4, 4)), [rectangle(0, 1.9, 2, 2.1), rectangle(2 + width, 1.9, 4, 2.1)])
