@@ -92,9 +92,9 @@ class PairTables:
     corners: Float[Array, "size 2"]
     middle: Float[Array, "2 2"]
     half: Float[Array, "2"]
-    proud_walls: Float[Array, "groups 16 7"]
+    proud_walls: Float[Array, "groups_of_proud 16 7"]
     proud_corners: Float[Array, "size 2"]
-    sure_walls: Float[Array, "groups 16 7"] | None
+    sure_walls: Float[Array, "groups_of_sure 16 7"] | None
     rounding: Float[Array, "2"]
     unresolved: tuple[str, ...] = field(metadata={"static": True})
     is_certain: bool = field(default=False, metadata={"static": True})

@@ -79,8 +79,13 @@ class Outline:
     @cached_property
     def _is_contact(self) -> Bool[np.ndarray, "points"]:
         """Contacts of free space that no path may squeeze through."""
+        return self._meets & (not self.may_squeeze)
+
+    @cached_property
+    def _meets(self) -> Bool[np.ndarray, "points"]:
+        """Points at which free space touches itself."""
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
-        return (count[index] > 1) & (not self.may_squeeze)
+        return count[index.ravel()] > 1
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
@@ -188,10 +193,11 @@ class Outline:
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
         if distance <= 0 or opens_contacts:
             return mitre
-        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)])] = 0.0
+        stays = self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)])
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
-        mitre[turned] = mitre[following[turned]] = 0.0
+        stays[turned] = stays[following[turned]] = True
+        mitre[stays & ~(self._meets & self.may_squeeze)] = 0.0
         return mitre
 
     def write(self, body: BitWriter) -> None:

@@ -149,35 +149,27 @@ def test_a_star_crosses_an_open_grid_as_by_hand():
     assert cost == pytest.approx(expected) and nodes <= expanded <= len(grid.points)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "obstacles", "goal", "message"),
-    [
-        (
-            ((25621.20448833581, 16249.040618084948), (26621.20448833581, 16549.04061808495)),
-            [
-                [
-                    (25746.20448833581, 16511.540618084946),
-                    (25746.41801413055, 16384.010589615387),
-                    (25746.41801512221, 16384.01058961705),
-                ],
-                [
-                    (25746.21120528183, 16507.528885731157),
-                    (25669.129247229936, 16464.089320283372),
-                    (26621.20448833581, 16436.540618084946),
-                ],
-            ],
-            (25674.12932443736, 16508.751242945484),
-            "all but touch",
-        ),
-        (
-            ((-55037950.56443232, 51192343.53759958), (-55037950.46443233, 51192343.53859958)),
-            [],
-            (-55037950.559271306, 51192343.53810345),
-            "an origin that is near",
-        ),
-    ],
-)
-def test_nearly_degenerate_maps_of_which_nothing_can_be_proven_are_refused(bounds, obstacles, goal, message):
-    workspace = Workspace(bounds, obstacles)
-    with pytest.raises(ValueError, match=message):
-        construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=16, certified=True)
+def test_maps_far_from_the_origin_of_which_nothing_can_be_proven_are_refused():
+    workspace = Workspace(((-55037950.56443232, 51192343.53759958), (-55037950.46443233, 51192343.53859958)))
+    oracle = VisibilityGraph(workspace, (-55037950.559271306, 51192343.53810345))
+    with pytest.raises(ValueError, match="an origin that is near"):
+        construct(oracle, workspace.bounds, max_leaves=16, certified=True)
+
+
+def test_bounds_hold_where_obstacles_all_but_touch():
+    sliver = [
+        (25746.20448833581, 16511.540618084946),
+        (25746.41801413055, 16384.010589615387),
+        (25746.41801512221, 16384.01058961705),
+    ]
+    blade = [
+        (25746.21120528183, 16507.528885731157),
+        (25669.129247229936, 16464.089320283372),
+        (26621.20448833581, 16436.540618084946),
+    ]
+    bounds = (25621.20448833581, 16249.040618084948), (26621.20448833581, 16549.04061808495)
+    workspace = Workspace(bounds, [sliver, blade])
+    oracle = VisibilityGraph(workspace, (25674.12932443736, 16508.751242945484))
+    plr, x = construct(oracle, workspace.bounds, max_leaves=16, certified=True), workspace.sample_free(2_000, 0)
+    distance, (lower, upper) = oracle(x), plr.bounds(x)
+    assert (lower <= distance).all() and (distance <= upper).all()
