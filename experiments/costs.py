@@ -188,7 +188,8 @@ def _over_cells(cost: RasterCost, goal: Points, parts: int) -> Distance:
     front = np.ma.MaskedArray(from_goal - radius, blocked)
     time: Any = skfmm.travel_time(front, 1 / np.where(blocked, 1.0, values), dx=1 / parts, order=2)
     found = np.where(from_goal < radius, from_goal * at_goal, np.ma.filled(time, np.nan) + radius * at_goal)
-    return RegularGridInterpolator(centers, found, bounds_error=False, fill_value=None)
+    extrapolate: Any = None
+    return RegularGridInterpolator(centers, found, bounds_error=False, fill_value=extrapolate)
 
 
 def details(seed: int, smoke: bool) -> dict[str, Any]:
