@@ -37,15 +37,17 @@ def joined(rooms, n=40, squeeze=False):
     return Workspace(((0, 0), (size, size)), obstacles, squeeze=squeeze), x, y
 
 
-def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6):
-    """Fails unless distances are exact to rounding and their bounds hold; the share of finite upper bounds."""
+def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6, loose=0.0):
+    """Fails unless distances are exact to rounding and their bounds hold; the share of finite upper bounds.
+
+    Lower bounds are close, but for a share that may be loose: where a path would be shorter through a contact.
+    """
     truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
     reached = np.isfinite(truth)
     np.testing.assert_allclose(pairs(x, y), truth, atol=tolerance * scale)
     lower, upper = (np.asarray(bound, np.float64) for bound in pairs.bounds(x, y))
     assert (lower <= truth).all() and (truth <= upper).all()
-    # Close, but where walls too thin to count on are in the way.
-    assert np.mean(lower[reached] < truth[reached] - 1e-4 * scale) < 0.01
+    assert np.mean(lower[reached] < truth[reached] - 1e-4 * scale) <= loose
     return np.isfinite(upper[reached]).mean()
 
 

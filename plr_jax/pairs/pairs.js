@@ -27,15 +27,17 @@ function readOutline(body, origin) {
         order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
     }
     const at = points.map((along, axis) => along.map(steps => origin[axis] + step * steps));
-    return { points, first, following, pastContacts, before, isContact, x: at[0], y: at[1] };
+    return { points, first, following, pastContacts, isContact, x: at[0], y: at[1] };
 }
 
 // How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
-function moves({ points, following, isContact, x, y }, distance) {
+function moves({ points, following, isContact, isThin, x, y }, distance) {
     const count = x.length, nx = new Float64Array(count), ny = new Float64Array(count), before = new Int32Array(count);
+    const lengths = new Float64Array(count), stays = [];
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i], length = Math.sqrt(dx * dx + dy * dy);
         before[next] = i;
+        lengths[i] = length;
         if (points[0][i] !== points[0][next] || points[1][i] !== points[1][next]) { nx[i] = -dy / length; ny[i] = dx / length; }
     }
     const mx = new Float64Array(count), my = new Float64Array(count), turned = [];
@@ -43,12 +45,16 @@ function moves({ points, following, isContact, x, y }, distance) {
         const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
         mx[i] = (nx[i] + bx) / along;
         my[i] = (ny[i] + by) / along;
-        const shorter = Math.min(1, 4 / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
+        // Where contacts open, as far as the sharpest tip needs, but no more than a part of the walls beside it.
+        const most = isContact ? 4 : Math.max(4, Math.min(lengths[i], lengths[before[i]]) / (4 * distance));
+        const isTip = nx[i] * bx + ny[i] * by < -0.5; // which recedes along itself, within its obstacle
+        if (isContact && (isContact[i] || isThin.has(i) && isThin.has(before[i]) && !isTip)) stays.push(i);
+        const shorter = Math.min(1, most / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
         mx[i] *= shorter;
         my[i] *= shorter;
     }
     if (!isContact || distance <= 0) return [mx, my];
-    isContact.forEach((stays, i) => { if (stays) mx[i] = my[i] = 0; });
+    stays.forEach(i => mx[i] = my[i] = 0);
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i];
         if (dx * (dx - distance * (mx[next] - mx[i])) + dy * (dy - distance * (my[next] - my[i])) < 0) turned.push(i, next);
@@ -114,8 +120,7 @@ function readPairs({ domain, layers }, fileBytes) {
     const half = domain.lo.map((lo, axis) => (domain.hi[axis] - lo) / 2);
     const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
-    const isThin = new Set(thin); // between thin walls points stay as contacts do
-    thin.forEach(i => { if (isThin.has(outline.before[i])) outline.isContact[i] = true; });
+    const isThin = outline.isThin = new Set(thin);
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
     const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));

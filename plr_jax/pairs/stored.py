@@ -34,6 +34,7 @@ from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
+_SHARP = -0.5  # cosine of the turn at a tip of an obstacle, at the most
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
@@ -79,13 +80,8 @@ class Outline:
     @cached_property
     def _is_contact(self) -> Bool[np.ndarray, "points"]:
         """Contacts of free space that no path may squeeze through."""
-        return self._meets & (not self.may_squeeze)
-
-    @cached_property
-    def _meets(self) -> Bool[np.ndarray, "points"]:
-        """Points at which free space touches itself."""
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
-        return count[index.ravel()] > 1
+        return (count[index] > 1) & (not self.may_squeeze)
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
@@ -190,14 +186,19 @@ class Outline:
         before[following] = normal
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
-        mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+        most = np.full_like(length, _MITRE)
+        if opens_contacts:  # as far as the sharpest tip needs, but no more than a part of the walls beside it
+            long = np.linalg.norm(onward, axis=1)
+            short = np.minimum(long, long[np.argsort(following)])[:, None]
+            most = np.maximum(_MITRE, short / (4 * distance))
+        mitre *= np.minimum(1, most / np.maximum(length, 1e-12))
         if distance <= 0 or opens_contacts:
             return mitre
-        stays = self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)])
+        is_tip = (normal * before).sum(axis=1) < _SHARP  # which recedes along itself, within its obstacle
+        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip)] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
-        stays[turned] = stays[following[turned]] = True
-        mitre[stays & ~(self._meets & self.may_squeeze)] = 0.0
+        mitre[turned] = mitre[following[turned]] = 0.0
         return mitre
 
     def write(self, body: BitWriter) -> None:

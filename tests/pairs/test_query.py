@@ -9,8 +9,10 @@ from piece_helpers import TEN, box, fan_workspace, general_workspace, lattice_wo
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs, scenes
 
-ROOMS = [kind(np.random.default_rng(seed)) for kind in (general_workspace, lattice_workspace) for seed in range(4)]
-FANS = [fan_workspace(np.random.default_rng(seed)) for seed in range(100, 104)]  # sharp corners at contacts
+ROOMS = [
+    *(kind(np.random.default_rng(seed)) for kind in (general_workspace, lattice_workspace) for seed in range(4)),
+    *(fan_workspace(np.random.default_rng(seed)) for seed in range(100, 104)),  # corners at contacts
+]
 
 
 @pytest.mark.full
@@ -19,19 +21,8 @@ def test_any_workspace_is_exact_and_bounded(squeeze):
     workspace, x, y = joined(ROOMS, squeeze=squeeze)
     x, y = np.append(x, x[:20], axis=0), np.append(y, y[-20:], axis=0)  # of rooms that are apart
     pairs = construct_pairs(workspace, max_bytes=16_384)
-    reached = check_exact_and_bounded(pairs, workspace, x, y)
+    reached = check_exact_and_bounded(pairs, workspace, x, y, loose=0.0 if squeeze else 0.005)
     assert squeeze or reached > 0.9  # between walls that touch nothing is certainly free
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("squeeze", [False, True])
-def test_around_sharp_tips_distances_are_less_exact_and_bounds_hold(squeeze):
-    """Walls of tips that 32 bits do not tell from free space do not count for lower bounds, which may be loose."""
-    workspace, x, y = joined(FANS, squeeze=squeeze)
-    pairs, truth = construct_pairs(workspace, max_bytes=16_384), exact(workspace, x, y)
-    np.testing.assert_allclose(pairs(x, y), truth, atol=2e-5 * workspace.bounds.width.max())
-    lower, upper = pairs.bounds(x, y)
-    assert (lower <= truth).all() and (truth <= upper).all()
 
 
 def flat_arc(height):
@@ -126,10 +117,8 @@ def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind):
         lower, upper = pairs.bounds(x, y)
         assert (lower <= truth).all() and (truth <= upper).all()
         found, on_one_side = np.asarray(pairs(x, y)), aside > 5e-5 * WIDTH
-        # The distance on the other side of the wall, where that is less. Thin walls stay where others move back, so
-        # that a path around their ends is up to 1e-5 widths too long.
-        assert (found <= truth + 1e-5 * WIDTH).all()
-        np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=1e-5 * WIDTH)
+        assert (found <= truth + 1e-6 * WIDTH).all()  # the distance on the other side of the wall, where that is less
+        np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=1e-6 * WIDTH)
 
 
 @pytest.mark.full
