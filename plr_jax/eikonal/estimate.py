@@ -3,7 +3,7 @@
 Where motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
 stencils have no diagonals, so nothing passes where two obstacles touch in an edge or a corner. Where the cost depends
 on the direction, or is a sum over blocks of axes, the estimate is the cheapest path over a stencil of several steps,
-which is one percent too long on average.
+which is up to a few percent too long.
 
 Walls are where the nearest nodes have them. A march over many nodes takes less time than the compression of its
 result, so that no correction pays.
@@ -76,16 +76,16 @@ class GridEstimate:
         goal: The goal, a configuration.
         at_goal: The factor of the cost of motions at the goal, and the pulls there, or None.
         ratio: The cost-to-go over the cost of the straight motion to the goal, both at the costs of the goal.
-        way: The motion from each node toward the goal, about a step long, ``(*shape, dim)``.
-        largest: The largest cost-to-go at a node; ``-inf`` if no node sees the goal.
+        cost: The cost-to-go at each node; ``inf`` where no path leads to the goal.
+        onward: The motion from each node to the next one of its path, ``(*shape, dim)``; None if it was marched over.
     """
 
     space: ConfigurationSpace
     goal: Float[np.ndarray, "dim"]
     at_goal: tuple[float, Float[np.ndarray, "2 1 dim"] | None]
     ratio: GridField
-    way: Float[np.ndarray, "*shape dim"]
-    largest: float
+    cost: Costs
+    onward: Nodes | None
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         """Return the estimate at points of the domain; ``inf`` where no node around has a path to the goal."""
@@ -95,12 +95,20 @@ class GridEstimate:
         change = self.space.domain.difference(np.broadcast_to(self.goal, x.shape), x)
         return ratio * straight_costs(self.space, self.at_goal, change)
 
+    @property
+    def largest(self) -> float:
+        """The largest cost-to-go at a node; ``-inf`` if no node sees the goal."""
+        return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
+
     def along(self, x: Points, strides: Sequence[int]) -> Iterator[Points]:
         """Follow paths from points toward the goal. Yield where they are after each of some numbers of steps."""
-        domain, box, shape = self.space.domain, self.ratio.bounds, np.array(self.way.shape[:-1])
+        domain, box, shape = self.space.domain, self.ratio.bounds, np.array(self.cost.shape)
+        onward = self.onward
+        if onward is None:
+            onward = _steepest(self.cost, box.width / shape, domain.periodic)
         for step in range(1, max(strides) + 1):
             node = np.clip(((x - box.lo) / box.width * shape).astype(np.int64), 0, shape - 1)
-            x = x + self.way[tuple(node.T)]
+            x = x + onward[tuple(node.T)]
             x = np.where(domain.periodic, domain.wrapped(x), np.clip(x, domain.lo, domain.hi))
             if step in strides:
                 yield x
@@ -161,7 +169,8 @@ def grid_estimate(
     straight[near] = here[0] * motion.norm(change) + pulled(here[1], change)
     straight[near] = (straight[near] + straight_costs(space, at_goal, change)) / 2
 
-    # 3. The cost-to-go of all nodes, and motions toward the goal.
+    # 3. The cost-to-go of all nodes.
+    onward = None
     if is_isotropic:
         _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
@@ -173,13 +182,11 @@ def grid_estimate(
         cost = _marched(space, is_open, factor, at_goal[0], straight, lengths, radius, side)
         if cost_map is None:
             cost = np.minimum(cost, straight)
-        way = _steepest(cost, side, domain.periodic)
     else:
-        cost, way = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, goal, side)
-    largest = float(cost.max(where=np.isfinite(cost), initial=-np.inf))
+        cost, onward = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, goal, side)
     of_straight = straight_costs(space, at_goal, to_goal).reshape(shape)
     ratio = np.divide(cost, of_straight, out=np.ones(shape), where=of_straight > 0)
-    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), way, largest)
+    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), cost, onward)
 
 
 def _grid(

@@ -131,7 +131,7 @@ def solve_eikonal(
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
         if guide.largest < 0:
-            nodes = " x ".join(map(str, guide.way.shape[:-1]))
+            nodes = " x ".join(map(str, guide.cost.shape))
             raise ValueError(
                 f"The goal must be seen from a node of the grid of {nodes} nodes, {goal.tolist()} is not: it is "
                 "too close to obstacles. Move it, or leave out certified=False."
