@@ -182,7 +182,7 @@ def as_bool(name: str, value: object) -> bool:
     return bool(value)
 
 
-def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
+def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
     """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -194,7 +194,7 @@ def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
     return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
-def found(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
+def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
     """Place of each wanted number among distinct known ones; -1 where it is none."""
     if not len(known):
         return np.full(len(wanted), -1)
@@ -203,11 +203,11 @@ def found(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted
     return np.where(known[place] == wanted, place, -1)
 
 
-def run_members(
+def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
     """Of runs that begin at ``first``, the items of some, and the place of each one's run among those asked for."""
-    run, place = runs(first[which + 1] - first[which])
+    run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 
 
@@ -227,7 +227,7 @@ def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "term
     return total
 
 
-def mixed(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
+def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
     """A hash of each number, in which every bit depends on all of its.
 
     References:
@@ -239,7 +239,7 @@ def mixed(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.
     return bits ^ (bits >> np.uint64(31))
 
 
-def told(numbers: Float[np.ndarray, "n"]) -> list[float]:
+def format_numbers(numbers: Float[np.ndarray, "n"]) -> list[float]:
     """Numbers as a message tells them: to 12 digits, without what arithmetic made of the last ones."""
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 

@@ -16,7 +16,7 @@ from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
-from plr_jax.pairs.stored import Outline, Stored
+from plr_jax.pairs.stored import Outline, PairsFileData
 from plr_jax.plr.container import Header
 from plr_jax.plr.tree import Cells, tree_of
 
@@ -123,7 +123,7 @@ def corridor(count: int) -> bytes:
     points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
     outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
     tree, corner, joined = tree_of(Cells.root(2)), np.arange(count), np.zeros((0, 2), np.int64)
-    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0).to_bytes()
+    return PairsFileData(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0).to_bytes()
 
 
 def _picture_files() -> list[bytes]:

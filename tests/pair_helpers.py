@@ -6,7 +6,7 @@ from piece_helpers import TEN, box
 from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
-from plr_jax.pairs.stored import Outline, Stored
+from plr_jax.pairs.stored import Outline, PairsFileData
 from plr_jax.plr.tree import Cells, tree_of
 
 MAZE = scenes.maze().workspace
@@ -58,7 +58,7 @@ def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0)
     tree = tree_of(Cells.root(2) if cells is None else cells)
     leaf, listed = (0 * corner, corner) if lists is None else lists
     joined = np.array(joined, int).reshape(-1, 2)
-    return Stored(Box((0, 0), domain), outline, corner, joined, tree, leaf, listed, rounding)
+    return PairsFileData(Box((0, 0), domain), outline, corner, joined, tree, leaf, listed, rounding)
 
 
 def serpentine(corners, joined=()):

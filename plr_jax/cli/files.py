@@ -120,13 +120,13 @@ def info(
 ) -> None:
     """Print what is in a file."""
     from plr_jax import load
-    from plr_jax._arrays import told
+    from plr_jax._arrays import format_numbers
     from plr_jax.plr import PLR
 
     content = load(file)
     domain = content.domain
     facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
-    facts |= {"lo": told(domain.lo), "hi": told(domain.hi)}
+    facts |= {"lo": format_numbers(domain.lo), "hi": format_numbers(domain.hi)}
     facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
     names = [
         "label",

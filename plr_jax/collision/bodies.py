@@ -106,7 +106,7 @@ def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadlin
     return apart
 
 
-def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
+def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
     """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
 
     These are the bulges of the offset between the two and of the other body's turn, as seen from the one. Their
@@ -141,7 +141,7 @@ Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 _FEW = 24  # corners up to which the lowest is sought among all
 
 
-def judge_convex(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Two convex bodies, given by their vertices ``(2, vertices)`` in their own frames, counterclockwise.
 
     The axes: normal to the sides of both, which ride with them; across the relative motion; and, where a distance is
@@ -154,7 +154,7 @@ def judge_convex(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
     nx, ny = across_motion(a, b)
     gap = np.maximum(_smaller_gap(ends, nx, ny), _smaller_gap(ends, -nx, -ny)) - bulge
-    for first, last, riding in zip(*gaps, riding_bulges(a, b, rim_a, rim_b), strict=True):
+    for first, last, riding in zip(*gaps, rotation_bounds(a, b, rim_a, rim_b), strict=True):
         gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - riding)
     separation = [np.concatenate(each) for each in gaps]
     separation = [each.max(axis=0) if len(each) else np.zeros(len(a.x)) for each in separation]
@@ -244,7 +244,7 @@ def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
-    of_a, of_b = riding_bulges(a, b, rim_a, rim_b)
+    of_a, of_b = rotation_bounds(a, b, rim_a, rim_b)
     nx, ny = across_motion(a, b)
     supports = [_support(a, at_a, nx, ny) + _support(b, at_b, nx, ny) for at_a, at_b in headings]
     bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
@@ -271,7 +271,7 @@ def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdi
         distances.append(
             np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
         )
-    bulge, _ = riding_bulges(a, b, *b.size)  # a point has no rim
+    bulge, _ = rotation_bounds(a, b, *b.size)  # a point has no rim
     nearer = np.minimum(*distances)
     clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
     return clear, (nearer < reach) | ((a.turn == 0) & ~clear)

@@ -18,9 +18,9 @@ from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import (
     Column,
     bisect,
+    convex_separation,
     judge_box_and_point,
     judge_boxes,
-    judge_convex,
     moving,
 )
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -46,7 +46,7 @@ class Circles(NamedTuple):
     radius: Column
 
 
-class Traffic:
+class TeamTrajectory:
     """A path of a team, whose robots can be given other motions, and a circle around each of its motions.
 
     Attributes:
@@ -176,7 +176,7 @@ def motions_apart(
     reach = robot_a.rounding + robot_b.rounding - tolerance
     # The fastest kernel that answers for two robots, and their sizes as it takes them.
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
-    judge, size_a, size_b = judge_convex, robot_a.core.T, robot_b.core.T
+    judge, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
         judge, size_a, size_b = judge_boxes if half_a.any() and half_b.any() else judge_box_and_point, half_a, half_b
     is_swapped = judge is judge_box_and_point and not size_a.any()  # the box is first
@@ -224,7 +224,7 @@ class JointMotionTest:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
-        self, i: int, begin: Motions, end: Motions, traffic: Traffic, motion: Rows, other: Rows
+        self, i: int, begin: Motions, end: Motions, traffic: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
         """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
         others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, runs
+from plr_jax._arrays import parts, ragged_indices
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 
 _MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # which bounds the memory
@@ -50,7 +50,7 @@ def _rows_within(
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
-        box, place = runs(num[:, some].prod(axis=0))
+        box, place = ragged_indices(num[:, some].prod(axis=0))
         box += some.start
         row = np.empty((grid.dim, len(box)), np.int64)
         square = np.full(len(box), radius**2)
@@ -114,7 +114,7 @@ def _blocked_voxels_within(
     """Blocked voxels nearer than a radius to boxes, some at a time: box and voxel."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
-        row, place = runs(end[-1, some] - begin[-1, some] + 1)
+        row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
         voxel = begin[:, some[row]]
         voxel[-1] += place
         blocked = ~grid.padded[tuple(voxel)]

@@ -14,8 +14,8 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import parts, require_time, run_members, runs
-from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, judge_boxes, judge_convex, moving
+from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
+from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, convex_separation, judge_boxes, moving
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
@@ -153,7 +153,7 @@ class MotionTest:
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
         """Whether pieces of motions keep off the edges near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
-        index, owner = run_members(self._first, cell)
+        index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
         # 1. Distances of the segments that centers run along to the edges, zero where they cross.
         near, tangent = pieces.take(owner), edges[:, 1] - edges[:, 0]
@@ -178,7 +178,7 @@ class MotionTest:
             judge, size, theta = judge_boxes, half, np.arctan2(tangent[:, 1], tangent[:, 0])
             of_edges = np.stack([length[doubtful] / 2, rest])
         else:
-            judge, size, theta = judge_convex, robot.core.T, rest
+            judge, size, theta = convex_separation, robot.core.T, rest
             of_edges = (edges - center[:, None]).transpose(2, 1, 0)
         flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, rest, rest, rest)
         keeps_off = bisect(judge, near.take(doubtful).sized(size), flat, reach, deadline)
@@ -213,7 +213,7 @@ def _pieces(
     if not (count > 1).any():
         return whole, None
     count = np.maximum(count, 1)
-    owner, step = runs(count)
+    owner, step = ragged_indices(count)
     t, share = step / count[owner], 1 / count[owner]
     whole = whole.take(owner)
     pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]

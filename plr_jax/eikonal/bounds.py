@@ -13,13 +13,13 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, runs
+from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
 from plr_jax.oracles import VoxelGraph
-from plr_jax.plr._file import Contents, filled_coefficients
+from plr_jax.plr._file import DecodedFile, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
 from plr_jax.plr.container import frame_size
@@ -296,7 +296,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
     partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
     stored = StoredValues.of_corners(partition, values, step)
-    contents = Contents(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
+    contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
         plr = plr_of_leaves(_with_proof(contents, field))
@@ -310,11 +310,11 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain))
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
-    contents = Contents(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
+    contents = DecodedFile(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field))
 
 
-def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
+def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     """Add bounds to each leaf, over all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
@@ -324,7 +324,7 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     order = np.argsort(cell, kind="stable")
     flush, beside = mesh.flush_pairs
     first, last = (np.searchsorted(cell[order], flush, side=side) for side in ("left", "right"))
-    pair, place = runs(last - first)
+    pair, place = ragged_indices(last - first)
     is_open = mesh.state[cell] != CellState.BLOCKED
     own, others = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
     leaf = np.append(own[0], others)

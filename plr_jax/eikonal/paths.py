@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import parts, runs
+from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
@@ -201,7 +201,7 @@ class _FreeGraph:
         begin, of, count = begin[order], of[order], count[order]
         for some in parts(np.bincount(begin, count, len(self.points)).astype(np.int64), _EDGES_AT_ONCE):
             rows = slice(*np.searchsorted(begin, [some.start, some.stop]))
-            row, place = runs(count[rows])
+            row, place = ragged_indices(count[rows])
             a, c = begin[rows][row], of[rows][row]
             b = in_cells[np.where(place < num, c * num + place, first[c] + place - num)]
             a, b, c = (each[a != b] for each in (a, b, c))

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_numbers, found, shortened
+from plr_jax._arrays import as_numbers, index_of, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
@@ -136,11 +136,11 @@ def places_of(
     vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
     """Which vertices and edges those of a boundary are, to the bit; -1 for none."""
-    vertex = found(vertices @ [1, 1j], old.vertices @ [1, 1j])
+    vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
     wanted = np.where((start < 0) | (end < 0), -1, start * size + end)
-    return vertex, found(edges[:, 0] * size + edges[:, 1], wanted)
+    return vertex, index_of(edges[:, 0] * size + edges[:, 1], wanted)
 
 
 def _near(

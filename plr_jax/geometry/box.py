@@ -11,10 +11,10 @@ from plr_jax._arrays import (
     as_finite_point,
     as_numbers,
     as_points,
+    format_numbers,
     require_integer,
     set_fields,
     shortened,
-    told,
 )
 from plr_jax._types import ArrayLike
 
@@ -260,7 +260,7 @@ class Box:
         return self._written(self.lo.tolist(), self.hi.tolist())
 
     def __str__(self) -> str:
-        return self._written(told(self.lo), told(self.hi))
+        return self._written(format_numbers(self.lo), format_numbers(self.hi))
 
     def _written(self, lo: list[float], hi: list[float]) -> str:
         periodic = f", periodic={self.periodic}" if self.is_periodic else ""

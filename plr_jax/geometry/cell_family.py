@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import mixed
+from plr_jax._arrays import hash64
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import (
@@ -50,7 +50,7 @@ class SharedSources:
     def numbers(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the number of each of some sources; new sources get new numbers, in the order in which they come."""
         steps = np.rint(distance / self._step).astype(np.int64)
-        hashes = mixed(kind) + mixed(steps ^ np.int64(1 << 62))
+        hashes = hash64(kind) + hash64(steps ^ np.int64(1 << 62))
         keys, first, index = np.unique(hashes, return_index=True, return_inverse=True)
         at = np.searchsorted(self._sorted, keys)
         known = at < len(self._sorted)
@@ -112,9 +112,9 @@ class FamilySources(CellSources):
 
     def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
         """Return a hash of each cell: of its box, given by a hash, and of its pieces and pairs."""
-        pair = mixed(self.source * 2 + self.by_all) + mixed(self.triangle[self.piece] + (1 << 40))
-        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(mixed(pair), dtype=np.uint64)])
-        return mixed(np.diff(total[self.first_pair[self.first_piece]])) + cell
+        pair = hash64(self.source * 2 + self.by_all) + hash64(self.triangle[self.piece] + (1 << 40))
+        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(hash64(pair), dtype=np.uint64)])
+        return hash64(np.diff(total[self.first_pair[self.first_piece]])) + cell
 
     def counted_from_least(self) -> "FamilySources":
         """Return the same with distances of sources beyond the least of their cell."""
@@ -192,7 +192,7 @@ class SharedCells:
             by_all[order],
         )
         # 2. Those that differ by more than a constant.
-        box = mixed(node % cells.num_cells)
+        box = hash64(node % cells.num_cells)
         first, index = _distinct(found.keys(box))
         by_center = by_center[order][np.isin(cell[piece], first)]
         found = found.of_cells(first)

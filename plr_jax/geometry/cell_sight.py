@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, run_members, runs
+from plr_jax._arrays import parts, ragged_indices, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.boundary import grid_at
 from plr_jax.geometry.convex_pieces import (
@@ -120,7 +120,7 @@ class Shadows:
         end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
         begin[: len(some)] += first[some]
         low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
-        run, place = runs(np.maximum(high - low, 0))
+        run, place = ragged_indices(np.maximum(high - low, 0))
         shadow, owner = low[run] + place, np.concatenate([some, again])[run]
         # 3. A shadow crosses a piece if it holds the middle of the chord that its ray cuts out.
         ux, uy = self.unit[shadow].T[:, :, None]
@@ -260,7 +260,7 @@ class CellSources:
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
         chunks = []
         for chunk in parts(np.diff(first)[triangle], _CHUNK) or [slice(0, 0)]:
-            entry, piece = run_members(first, triangle[chunk])
+            entry, piece = take_ragged(first, triangle[chunk])
             count, part = len(cell[chunk]), pieces[:, chunk]
             unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
             found = cls(sight, len(lo), cell[chunk], part, triangle[chunk], centers(part), *unknown)
@@ -311,14 +311,14 @@ class CellSources:
 
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
         """Return some of the cells, in any order, perhaps repeated."""
-        rows, cell = run_members(self.first_piece, cells)
+        rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
         """Return some of the pieces, of the same cells."""
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
-        pairs, piece = run_members(self.first_pair, rows)
+        pairs, piece = take_ragged(self.first_pair, rows)
         columns = {name: getattr(self, name)[rows] for name in ("cell", "triangle", "center", "distance", "best")}
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
@@ -356,7 +356,7 @@ class CellSources:
         Walls in a box are sides of the triangles that its pieces are parts of.
         """
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
-        rows, of = run_members(self.first_piece, cells)
+        rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
         triangle, of = self.triangle[rows[row]], of[row]
         start, end = (self.sight.triangulation.triangles[triangle, each] for each in (side, (side + 1) % 3))

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import run_members, runs
+from plr_jax._arrays import ragged_indices, take_ragged
 from plr_jax.geometry.boundary import Boundary, places_of
 from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, joined_pairs
 from plr_jax.geometry.triangulation import Triangulation, after, triangulation_of
@@ -229,7 +229,7 @@ def may_see(
     begin = np.searchsorted(table.key, _TURN * of + low - table.blur, side="right") - 1
     end = np.searchsorted(table.key, _TURN * of + high + table.blur, side="right")
     begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
-    run, place = runs(np.maximum(end - begin, 0))
+    run, place = ragged_indices(np.maximum(end - begin, 0))
     edge, number = table.edge[begin[run] + place], number[run]
     normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
     height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
@@ -256,8 +256,8 @@ def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
     first = np.append(0, np.cumsum(counts))
     key, edge, vertex = np.empty(first[-1]), *np.empty((2, first[-1]), parts[-1][0].edge.dtype)
     for table, which, place in parts:
-        to, _ = run_members(first, place)
-        row, run = run_members(table.first, which)
+        to, _ = take_ragged(first, place)
+        row, run = take_ragged(table.first, which)
         key[to] = table.key[row] - _TURN * (which - place)[run]
         is_old = table.boundary is change.old
         edge[to] = np.append(change.edge, -1)[table.edge[row]] if is_old else table.edge[row]

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 PartIndex: TypeAlias = Int[np.ndarray, "parts"]
@@ -112,7 +112,7 @@ def cut_parts(
         The pieces, part by part, those that a cut leaves no area of perhaps among them; the part of each; the piece
         that it was; and whether it was cut.
     """
-    rows, part = run_members(first_piece, parent)
+    rows, part = take_ragged(first_piece, parent)
     along, upper = axis[part], is_upper[part]
     bound = np.where(upper, lo[part, along], hi[part, along])
     height = (pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, run_members
+from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
 from plr_jax.geometry.triangulation import Places, Triangulation
@@ -251,7 +251,7 @@ class TurnRegions:
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
         counts = np.diff(entries)
         for part in parts(counts, _PAIRS):
-            turn = self.turn[run_members(self.first, triangle[first[part.start] : first[part.stop]])[0]]
+            turn = self.turn[take_ragged(self.first, triangle[first[part.start] : first[part.stop]])[0]]
             rows = point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
             lengths, vertices = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]

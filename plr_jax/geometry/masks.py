@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, runs, shortened
+from plr_jax._arrays import as_finite, as_numbers, product_in_order, ragged_indices, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
@@ -146,7 +146,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
     """The stations of outlines, each ring from a contact on if it has one; and which stations are contacts."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
-    ring, place = runs(size)
+    ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
     contacts = np.flatnonzero(outlines.is_contact)[::-1]  # the first of a ring is written last
     shift[ring[contacts]] = place[contacts]
@@ -253,7 +253,7 @@ def _surrounding(
     stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
 ) -> Bool[np.ndarray, "m"]:
     """Which links have another ring between them and the outline that they replace."""
-    owner, place = runs(last - first + 1)
+    owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
     points = shapely.points(stations.points[firsts])

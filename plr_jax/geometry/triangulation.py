@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import found, run_members
+from plr_jax._arrays import index_of, take_ragged
 from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
@@ -234,7 +234,7 @@ class Triangulation:
         """
         # From triangle to triangle through sides that come within the tolerance of the segment, and around contacts.
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
-        contacts = found(self.boundary.contacts, self.origin)
+        contacts = index_of(self.boundary.contacts, self.origin)
         around = np.argsort(contacts, kind="stable")  # half-edges from contacts, contact by contact
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
         before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
@@ -253,7 +253,7 @@ class Triangulation:
                 points: Any = shapely.points(corners[row, side])
                 near = shapely.dwithin(segments[pair[row]], points, tolerance)
                 row, side = row[near], side[near]
-                half_edge, of = run_members(first, contact[row, side])
+                half_edge, of = take_ragged(first, contact[row, side])
                 onward = np.append(onward, pair[row[of]] * np.int64(num) + around[half_edge] // 3)
             before, keys = keys, np.setdiff1d(onward, np.concatenate([before, keys]))
         return joined
@@ -328,7 +328,7 @@ def _crossed(
 ) -> Int[np.ndarray, "crossed 2"]:
     """The edges that are no edges of the triangles."""
     keys = _keys(_half_edges(triangles), num_vertices)
-    return edges[found(keys, _keys(edges, num_vertices)) < 0]
+    return edges[index_of(keys, _keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -401,7 +401,7 @@ def _inside(
     """Origin, twin and wall of the half-edges between the walls: of triangles that are reached from a free side."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
-    wall, twin = found(_keys(edges, num_vertices), key), found(key, opposite)
+    wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)
     blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
     open_, count = np.flatnonzero(~blocked), len(triangles)
     adjacency = coo_array((np.ones(len(open_)), (open_ // 3, twin[open_] // 3)), shape=(count, count))

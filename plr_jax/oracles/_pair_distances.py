@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from scipy.sparse import csgraph
 
-from plr_jax._arrays import parts, run_members
+from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import Distances
 from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
 from plr_jax.geometry.graph import Graph
@@ -45,7 +45,7 @@ class _Lists:
 
     def of(self, points: Int[np.ndarray, "some"]) -> "_Lists":
         """Those of some of the points, which may be repeated."""
-        entry, _ = run_members(self.first, points)
+        entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _Lists(first, self.corner[entry], self.leg[entry])
 
@@ -148,7 +148,7 @@ class PairDistances:
             counts = np.diff(at_y.first)[at_x.point[of_these]]
             for part in parts(counts, _WAYS):
                 entries = of_these[part]
-                last, way = run_members(at_y.first, at_x.point[entries])
+                last, way = take_ragged(at_y.first, at_x.point[entries])
                 onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.leg[last]
                 first = np.append(0, np.cumsum(counts[part]))
                 length[entries] = _least(onward, first)
@@ -160,7 +160,7 @@ class PairDistances:
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._regions
         places = self.workspace.triangulation.place(points)
-        point, corner = np.repeat(np.arange(len(points)), counts), listed[run_members(begins, runs)[0]]
+        point, corner = np.repeat(np.arange(len(points)), counts), listed[take_ragged(begins, runs)[0]]
         kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
         kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
         leg = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)

@@ -18,11 +18,11 @@ from plr_jax._arrays import (
     as_finite_point,
     as_point,
     as_points,
+    format_numbers,
     parts,
+    ragged_indices,
     require_integer,
-    runs,
     set_fields,
-    told,
 )
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
@@ -176,7 +176,7 @@ def _is_visible_sampled(
     while stride := stride // 2:
         num_tests = np.where(visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)  # odd multiples of it
         for rows in parts(num_tests, _BATCH):
-            row, odd = runs(num_tests[rows])
+            row, odd = ragged_indices(num_tests[rows])
             motion = rows.start + row
             x = a[motion] + ((1 + 2 * odd) * stride / num_steps[motion])[:, None] * change[motion]
             visible[motion[~is_free(x)]] = False
@@ -271,7 +271,8 @@ class Roadmap:
 
     def __repr__(self) -> str:
         vertices, edges = len(self.graph.vertices), len(self.graph.edges)
-        return f"Roadmap({self.domain}, goal={told(self.graph.vertices[0])}, {vertices} vertices, {edges} edges)"
+        goal = format_numbers(self.graph.vertices[0])
+        return f"Roadmap({self.domain}, goal={goal}, {vertices} vertices, {edges} edges)"
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
-from plr_jax._arrays import found as index_of
+from plr_jax._arrays import index_of as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import run_members, shortened
+from plr_jax._arrays import shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
@@ -18,7 +18,7 @@ from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.portable import MARGIN, RECEDING
-from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, Stored, distances_by_rows, most_leaves
+from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
@@ -107,7 +107,7 @@ class Lists:
     def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
         """Those of some cells."""
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
-        entries, cell = run_members(first, rows)
+        entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
@@ -217,7 +217,7 @@ def corners_seen(
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
-def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Stored, bytes]:
+def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
     """Return what the file of pairs of a workspace holds, and its bytes."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
@@ -246,7 +246,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
     none, width = np.zeros(0, np.int64), float(domain.width.max())
     outline = replace(outline, thin=thin_walls(outline, workspace.free_space, width))
-    unlisted = Stored(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
+    unlisted = PairsFileData(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
     true = np.empty_like(unlisted.points)
     true[rank] = visibility.corners.points
     moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
@@ -261,7 +261,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Store
     unlisted = replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf))))
 
     # 3. The leaves and their lists.
-    def stored(lists: Lists) -> Stored:
+    def stored(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
         place = np.argsort(tree.order)[lists.cell]
         by_leaf = np.lexsort((rank[lists.corner], place))

@@ -28,7 +28,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int, Int32, Integer, Shaped
 from tqdm import tqdm
 
-from plr_jax._arrays import parts, runs
+from plr_jax._arrays import parts, ragged_indices
 
 _Numbers = TypeVar("_Numbers")
 
@@ -125,7 +125,7 @@ def taut_corners(
     # 2. The cells of these runs, listed by corners.
     cells, end = np.empty(int(length.sum()), np.int32), 0
     for some in parts(length, _AT_ONCE):
-        run, place = runs(length[some])
+        run, place = ragged_indices(length[some])
         cells[end : end + len(run)] = first[some][run] + step[some][run] * place
         end += len(run)
     num_corners = int(corner.max(initial=-1)) + 1

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
 
-from plr_jax._arrays import parts, runs
+from plr_jax._arrays import parts, ragged_indices
 from plr_jax.pairs.grid_corners import (
     FAR,
     STRAIGHT,
@@ -187,7 +187,7 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
     first_block = np.concatenate([[0], np.cumsum(num_blocks)])
     blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
     for some in parts(num_blocks, _BLOCKS_AT_ONCE):
-        cell, block = runs(num_blocks[some])
+        cell, block = ragged_indices(num_blocks[some])
         place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
         begin = first_block[some.start]
         blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]

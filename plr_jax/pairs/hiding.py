@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from plr_jax._arrays import padded, padded_size, parts, run_members, runs, size_in_eighths
+from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
 
 _RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in the tree's traversal
@@ -66,7 +66,7 @@ class NearWalls:
         counts = np.bincount(entry, minlength=len(leaf))
         most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
         first = np.zeros(shape, np.uint32)
-        first[runs(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
+        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
 
@@ -150,7 +150,7 @@ def _near_entries(
     all_walls, found = _rows(walls), [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, bool))]
     for part in parts(tests[some], _AT_ONCE // 2):
         entries = some[part]
-        place, row = run_members(first, above[entries])
+        place, row = take_ragged(first, above[entries])
         hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], corner[entries]], axis=1))
         for at in range(0, len(place), _AT_ONCE):
             wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]

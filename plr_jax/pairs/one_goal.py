@@ -7,10 +7,10 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, run_members
+from plr_jax._arrays import as_finite_point, take_ragged
 from plr_jax._types import ArrayLike, Sources
-from plr_jax.pairs.stored import Stored
-from plr_jax.plr._file import Contents
+from plr_jax.pairs.stored import PairsFileData
+from plr_jax.plr._file import DecodedFile
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
@@ -26,7 +26,7 @@ _ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of p
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
 
-def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
+def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     """The PLR of cones of the distance to a goal: each leaf of the pairs has the corner that serves it best."""
     domain = stored.domain
     goal = as_finite_point("The goal", domain.settled(goal), 2)
@@ -50,10 +50,10 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
     cells, source = _joined(tree, source[tree.order])
     tree = tree_of(cells)
     cones = ConeFiles(sources, domain).stored(source[tree.order])
-    return plr_of_leaves(Contents(domain, leaf_model("cone"), tree, cones))
+    return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones))
 
 
-def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
+def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
     """The goal, and the corners that shortest paths to it turn at, with their distances and the way on from each.
 
     A path that turns at a corner goes on straight to the goal, or along an edge to a corner that is nearer to it. A
@@ -75,7 +75,7 @@ def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sou
 
 
 def _best_sources(
-    stored: Stored, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
+    stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
     """The source of each cell whose cone is nearest to the distances in it, and its mean error; -1 if none reaches.
 
@@ -85,7 +85,7 @@ def _best_sources(
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
     distance[is_free] = pairs(x[is_free], sources.points[0])
-    entries, cell = run_members(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), owner)
+    entries, cell = take_ragged(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), owner)
     cell = np.concatenate([np.arange(len(cells)), cell])
     source = np.concatenate([np.zeros(len(cells), np.int64), 1 + stored.listed[entries]])
     cone = sources.distances[source, None] + np.linalg.norm(x[cell] - sources.points[source, None], axis=2)

@@ -27,9 +27,9 @@ from plr_jax.pairs.query import (
     is_inside,
     shortest_ways,
 )
-from plr_jax.pairs.stored import Stored
+from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.container import HeldFile, held
+from plr_jax.plr.container import FileBacked, padded_file
 from plr_jax.plr.frame import Outside, as_outside, require_resolved
 from plr_jax.plr.query import length_of
 
@@ -44,7 +44,7 @@ _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are t
 
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
-class PairPLR(HeldFile):
+class PairPLR(FileBacked):
     """The distance between any two points of a planar workspace.
 
     Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over
@@ -57,7 +57,7 @@ class PairPLR(HeldFile):
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
     _known_tables: PairTables | None = field(default=None, repr=False)
-    _known_stored: Stored | None = field(default=None, repr=False)
+    _known_stored: PairsFileData | None = field(default=None, repr=False)
 
     @cached_property
     def tables(self) -> PairTables:
@@ -81,7 +81,7 @@ class PairPLR(HeldFile):
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
+        """The same with another label, and with the tables if there are any: see :meth:`FileBacked.with_label`."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
@@ -235,9 +235,9 @@ class PairPLR(HeldFile):
         return (x - first) - rest
 
     @cached_property
-    def stored(self) -> Stored:
+    def stored(self) -> PairsFileData:
         """What the file holds."""
-        return self._known_stored or Stored.from_bytes(self.to_bytes())
+        return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
 
     @property
     def domain(self) -> Box:
@@ -293,12 +293,12 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     from plr_jax.pairs.construct import construct_stored  # which no query needs
 
     stored, data = construct_stored(workspace, max_bytes)
-    return PairPLR(held(data), None, stored)
+    return PairPLR(padded_file(data), None, stored)
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
     """Return the PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    return PairPLR(held(data), None, Stored.from_bytes(data))
+    return PairPLR(padded_file(data), None, PairsFileData.from_bytes(data))
 
 
 @partial(jax.jit, static_argnames="outside")

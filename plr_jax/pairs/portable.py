@@ -34,10 +34,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_queries, runs
+from plr_jax._arrays import as_queries, ragged_indices
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.stored import Stored, distances_table
+from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import Frame, frame_of
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, place_along
 from plr_jax.plr.portable.javascript import js_file_reader
@@ -95,7 +95,7 @@ class Scene:
     is_certain: bool
 
     @staticmethod
-    def of(stored: Stored, is_certain: bool, hides_surely: bool = False) -> "Scene":
+    def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
         """Move the walls of a file into free space if paths must be certainly free, else out of it.
 
         If only what an obstacle surely hides is hidden, obstacles that touch are apart, and thin walls are left out.
@@ -151,7 +151,7 @@ class NumpyPairs:
     The arithmetic is that of the description of this module, which :meth:`PairPLR.js_module` keeps to as well.
     """
 
-    def __init__(self, stored: Stored) -> None:
+    def __init__(self, stored: PairsFileData) -> None:
         """Of what a file holds."""
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
         self.domain, self._middle = domain, middle
@@ -161,7 +161,7 @@ class NumpyPairs:
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
-        self._lists[runs(lengths)] = stored.listed
+        self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
         rounds = _ROUNDINGS * float((domain.width / 2 + np.abs(middle)).max())
         self._seen, self._free = (Scene.of(stored, is_certain) for is_certain in (False, True))

@@ -22,11 +22,11 @@ import numpy as np
 from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
+from plr_jax._arrays import padded, padded_size, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.hiding import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
-from plr_jax.pairs.stored import Stored, distances_table
+from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.query import lookup
 from plr_jax.plr.tables import Tables, build_tables
@@ -100,7 +100,7 @@ class PairTables:
     is_certain: bool = field(default=False, metadata={"static": True})
 
 
-def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
+def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     """Build the tables of a file's contents; their sizes follow from the number of bytes of the file."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
@@ -111,7 +111,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     # 1. The lists as rows of one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
-    listed[runs(lengths)] = stored.listed
+    listed[ragged_indices(lengths)] = stored.listed
     # 2. How far listed corners are from their leaves' boxes, at least; `inf` for padding.
     (lo, hi), of_leaf = cells.grown_boxes(domain), seen.corners[listed[: len(cells)]]
     apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)

@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
@@ -258,7 +258,7 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class PairsFileData:
     """What a file holds.
 
     Attributes:
@@ -368,7 +368,7 @@ class Stored:
         leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
+        return PairsFileData(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
 
 
 def most_leaves(count: int) -> int:
@@ -398,7 +398,7 @@ def _read_lists(
         parent = np.repeat(np.searchsorted(nodes, split), 2)
         if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
-        rows, node = run_members(first, parent)
+        rows, node = take_ragged(first, parent)
         corner = corner[rows]
         if len(halves):
             stays = ~body.read_set(len(corner))

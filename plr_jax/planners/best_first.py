@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from tqdm import tqdm
 
-from plr_jax._arrays import require_time, runs
+from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
@@ -225,7 +225,7 @@ class BestFirstSearch:
                 num_valid = np.isfinite(children.score).sum(axis=1)
                 num_kept = np.minimum(num_valid, max(width // _KEPT, 1))
                 whole = children.whole & (num_kept == num_valid)
-                row, column = runs(num_kept)
+                row, column = ragged_indices(num_kept)
                 score = cost[row] + children.score[row, column]
                 state, move_cost = self.joint.move(state[row], children.primitive[row, column])
                 cost = cost[row] + move_cost

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csgraph as sparse_graphs
 from scipy.sparse import csr_array
 
-from plr_jax._arrays import require_time, runs
+from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
@@ -126,7 +126,7 @@ class Kind:
     def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
         """The shared edges that end in each node, filled up with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
-        end, rank = runs(np.bincount(self.end[: self.num_shared]))
+        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._solution import HeldMemory, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
@@ -101,7 +101,7 @@ class ReservationTable:
             begin, end = ours.q[ours.begin[part]], ours.q[ours.end[part]]
             near = tree.query_ball_point(begin[:, :2], ours.reach + others.reach)
             row = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
-            index, at = run_members(first, np.concatenate(near).astype(int))
+            index, at = take_ragged(first, np.concatenate(near).astype(int))
             row, edge = row[at], order[index]
             self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
             motions = others.q[others.begin[edge]], others.q[others.end[edge]]

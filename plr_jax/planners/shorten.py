@@ -16,9 +16,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import require_time, run_members, runs
+from plr_jax._arrays import ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.team import Circles, JointMotionTest, Traffic, circles, circles_along, within_reach
+from plr_jax.collision.team import Circles, JointMotionTest, TeamTrajectory, circles, circles_along, within_reach
 from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
@@ -39,11 +39,11 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
     of the test.
     """
-    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
+    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     hopeful = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
     # First and last rows of the motions and of all that may be a shortcut.
-    begin, place = runs(np.minimum(np.arange(len(path))[::-1], _LONGEST))
+    begin, place = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
     end, gains = begin + 1 + place, True
     with suppress(TimeoutError):
         while gains:
@@ -65,7 +65,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 
 
 def _with_shortcuts(
-    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, begin: Rows, end: Rows
+    problem: Problem, traffic: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
 
@@ -86,7 +86,7 @@ def _with_shortcuts(
     # 2. Those that keep clear of the other robots, each cut into its pieces in the motions of the path.
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
-    owner, step = runs(until - since)
+    owner, step = ragged_indices(until - since)
     motion, later = since[owner] + step, np.ones(len(owner), dtype=bool)
     for stride in _STRIDES:
         require_time(test.deadline, "all shortcuts were tested")
@@ -136,7 +136,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
     and is never costlier. It ends early at the deadline of the test.
     """
-    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
+    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
         while width > narrowest:
@@ -181,7 +181,7 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
 
 def _shortened(
     problem: Problem,
-    traffic: Traffic,
+    traffic: TeamTrajectory,
     rows: slice,
     robots: Robots,
     test: JointMotionTest,
@@ -217,7 +217,7 @@ def _shortened(
         tight &= free
         free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
         near, other = traffic.near(i, reached, motion, robots)
-        tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(motion) + 1)), near)
         free[tested[test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
         cost[:, 0, 0] = own

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import require_time, runs
+from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
-from plr_jax.collision.team import JointMotionTest, Traffic, circles
+from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, motions_of
 from plr_jax.robots.robot import between
 
@@ -56,7 +56,7 @@ class Timetable:
         self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
         self.absent: set[int] = set()
         self._last = len(path) - 1
-        self._traffic = Traffic(problem.robots, np.concatenate([path, path[-1:]]))
+        self._traffic = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
@@ -68,7 +68,7 @@ class Timetable:
         if len(q) > self._last + 1:
             more = np.repeat(self._traffic.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._traffic.path, more])
-            self._traffic = Traffic(self.problem.robots, path)
+            self._traffic = TeamTrajectory(self.problem.robots, path)
         whole = self._traffic.path[:, i].copy()  # a heading that the robot has not stays as it is
         whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
         self._traffic.move(i, whole)
@@ -79,7 +79,7 @@ class Timetable:
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
         """Whether straight motions of one robot, from some rows on for so many rows, keep clear of the others."""
-        owner, step = runs(count)
+        owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
         piece, _ = self._meetings(i, first, last, row[owner] + step)
@@ -119,7 +119,7 @@ class Timetable:
 def in_rows(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
     """A path with rows added, none of which takes longer than a length."""
     count = np.maximum(_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
-    motion, step = runs(count)
+    motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
     finer[step == 0] = path[:-1]
     return np.concatenate([finer, path[-1:]])

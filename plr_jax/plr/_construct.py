@@ -25,8 +25,8 @@ from plr_jax._types import (
     Sources,
 )
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents, encode
-from plr_jax.plr._proof import Origin, can_be_updated, certificate_of
+from plr_jax.plr._file import DecodedFile, encode
+from plr_jax.plr._proof import BuildInputs, can_be_updated, certificate_of
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
@@ -46,7 +46,7 @@ from plr_jax.plr.sampling import (
     sample_pattern,
 )
 from plr_jax.plr.tree import Cells, grown_domain
-from plr_jax.plr.work import AskedFn, Checkpoint, digest_of
+from plr_jax.plr.work import Checkpoint, ParallelOracle, digest_of
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
@@ -206,7 +206,7 @@ def construct(
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
     limits = max_depth, max_leaves, max_bytes, tolerance
 
-    def build(name: LeafModel | str, oracle: DistanceFn) -> Contents:
+    def build(name: LeafModel | str, oracle: DistanceFn) -> DecodedFile:
         return _build_leaves(oracle, domain, leaf_model(name), limits, proof, seed, options)
 
     if leaf == BEST:
@@ -221,7 +221,7 @@ def construct(
     if isinstance(distance_fn, FreeSpaceFn) and (advice := _advice(distance_fn, domain)):
         warnings.warn(advice, stacklevel=2)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
-        return plr_of_leaves(contents, Origin(distance_fn, max_bytes, max_leaves, tolerance))
+        return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     return plr_of_leaves(contents)
 
 
@@ -233,7 +233,7 @@ def _build_leaves(
     proof: Proof,
     seed: int,
     options: BuildOptions,
-) -> Contents:
+) -> DecodedFile:
     """Build leaves of one model, with their proof, as a file holds them."""
     # 1. Check what is asked for.
     model.check_dim(domain.dim)
@@ -256,7 +256,7 @@ def _build_leaves(
         kept = None
         if options.checkpoint is not None:
             kept = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
-        distance_fn = AskedFn(distance_fn, options.executor, kept)
+        distance_fn = ParallelOracle(distance_fn, options.executor, kept)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
         distance_fn = partial(_of_folded, distance_fn, folding)
@@ -271,7 +271,7 @@ def _build_leaves(
     )
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # a file knows no options of a model
-    contents = Contents(domain, model, tree, stored, folding=folding)
+    contents = DecodedFile(domain, model, tree, stored, folding=folding)
 
     # 4. Prove its error.
     if proof is not Proof.NONE and memory is not None:
@@ -340,14 +340,14 @@ class _OracleOfBox:
 
 
 def best_leaves(
-    build: Callable[[str, DistanceFn], Contents],
+    build: Callable[[str, DistanceFn], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
     proof: Proof,
     max_bytes: int | None,
     only_bytes: bool,
     seed: int,
-) -> tuple[Contents, bool]:
+) -> tuple[DecodedFile, bool]:
     """Build leaves of all models that may serve, and return those that err least.
 
     Args:
@@ -433,7 +433,7 @@ def _models_to_try(
     return [name for name in leaf_names() if name in others or (name in cones and share <= _CROWDED)]
 
 
-def _sampled_error(contents: Contents, distance_fn: DistanceFn, seed: int) -> float:
+def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:
     domain = contents.domain
     x = domain.lo + domain.width * np.random.default_rng(seed).random((_ERROR_POINTS, domain.dim))
     distance = as_distances("The distance function", distance_fn(x), x)
@@ -481,7 +481,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
-        certified.origin = Origin(oracle, certified.num_bytes)
+        certified.origin = BuildInputs(oracle, certified.num_bytes)
     return certified
 
 

@@ -13,11 +13,11 @@ from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
-from plr_jax.plr._file import Contents, encode
+from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.container import frame_size, held
+from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
@@ -137,14 +137,14 @@ def construct_many(
         except KeyboardInterrupt:
             message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
-    return [None if file is None else PLR(held(file)) for file in done.results]
+    return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
 def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
     """Files of some members of a family."""
     files = []
     for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
-        contents = Contents(task.domain, leaf, tree, stored)
+        contents = DecodedFile(task.domain, leaf, tree, stored)
         if proof is not Proof.NONE:
             root = oracle.cell_sources(grown_domain(task.domain))
             contents = replace(contents, certificate=certificate_of(contents, root, proof))

@@ -23,7 +23,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 
 @dataclass(frozen=True, eq=False)
-class Contents:
+class DecodedFile:
     """What the last layer of a file holds: a tree, and what is stored of its leaves in the order of its traversal.
 
     They partition ``domain``, which is the box of a folding, where points are folded.
@@ -37,7 +37,7 @@ class Contents:
     folding: Folding | None = None
 
 
-def encode(contents: Contents) -> bytes:
+def encode(contents: DecodedFile) -> bytes:
     """The bytes of the file that holds these leaves."""
     body, proof = body_of_leaves(contents), Proof.NONE
     if contents.certificate is not None:
@@ -48,7 +48,7 @@ def encode(contents: Contents) -> bytes:
     return Container(domain, (layer,), contents.folding).to_bytes()
 
 
-def body_of_leaves(contents: Contents) -> BitWriter:
+def body_of_leaves(contents: DecodedFile) -> BitWriter:
     """The bits of the tree and of its leaves, to which those of a proof may be added."""
     body = BitWriter()
     write_tree(body, contents.tree)
@@ -56,7 +56,7 @@ def body_of_leaves(contents: Contents) -> BitWriter:
     return body
 
 
-def decode(data: bytes) -> Contents:
+def decode(data: bytes) -> DecodedFile:
     """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
@@ -75,7 +75,7 @@ def decode(data: bytes) -> Contents:
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.folded_domain, leaf, tree, stored, certificate, container.folding)
+    return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding)
 
 
 def decode_cells(data: bytes) -> Cells:
@@ -87,7 +87,7 @@ def decode_cells(data: bytes) -> Cells:
 # Functions of all leaves of a file: what is stored, and for leaves without one that of a neighbor.
 
 
-def counted_from(contents: Contents, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
+def counted_from(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
     """The domain that leaves partition, for points counted from an origin, and what a query of those reads of leaves.
 
     From the domain's own corner, neither is coarser the farther that is from the origin of coordinates. Folded points
@@ -105,7 +105,7 @@ def counted_from(contents: Contents, origin: Corner) -> tuple[Box, Float[np.ndar
     return domain, numbers
 
 
-def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:
+def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
     """Coefficients of all leaves.
 
     An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
@@ -134,7 +134,7 @@ def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]
 
 
 def planes_of_leaves(
-    contents: Contents, coefficients: Float[np.ndarray, "leaves terms"]
+    contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
     """Intercepts, ``inf`` where the first coefficient is, and slopes of the leaves' (mean) planes."""
     is_inf = np.isinf(coefficients[:, 0])

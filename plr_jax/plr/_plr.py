@@ -16,7 +16,7 @@ from plr_jax._arrays import as_queries, no_attribute, padded, padded_size, requi
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
-    Contents,
+    DecodedFile,
     counted_from,
     decode,
     decode_cells,
@@ -24,9 +24,9 @@ from plr_jax.plr._file import (
     filled_coefficients,
     planes_of_leaves,
 )
-from plr_jax.plr._proof import Origin, require_updatable, updated_contents
+from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
 from plr_jax.plr.certificate import Certificate
-from plr_jax.plr.container import Container, HeldFile, held
+from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.leaves.base import LeafModel
@@ -45,7 +45,7 @@ from plr_jax.plr.tree import Cells
 
 
 @jax.tree_util.register_pytree_with_keys_class
-class PLR(HeldFile):
+class PLR(FileBacked):
     """A distance function stored over a binary space partition (Section III of the paper).
 
     Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
@@ -61,7 +61,7 @@ class PLR(HeldFile):
     """
 
     def __init__(
-        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, origin: Origin | None = None
+        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, origin: BuildInputs | None = None
     ) -> None:
         """Wrap the padded bytes of a file, which must be right: see :func:`from_bytes`.
 
@@ -110,7 +110,7 @@ class PLR(HeldFile):
         )
 
     def with_label(self, label: str) -> "PLR":
-        """Return the PLR with another label: see :meth:`HeldFile.with_label`."""
+        """Return the PLR with another label: see :meth:`FileBacked.with_label`."""
         labeled = super().with_label(label)
         if labeled is not self:
             labeled.tables, labeled.band, labeled.origin = self.tables, self.band, self.origin
@@ -260,7 +260,7 @@ class PLR(HeldFile):
                     "What this PLR was made of is not known, as of one from a file: give the oracle of the map "
                     "before, plr.updated(oracle, before)."
                 )
-            origin = Origin(before, self.num_bytes)
+            origin = BuildInputs(before, self.num_bytes)
         elif before is not None and before is not origin.oracle:
             origin = replace(origin, oracle=before, bounds=None, priced=None)
         if max_bytes is not None:
@@ -430,7 +430,7 @@ class PLR(HeldFile):
         )
 
     @cached_property
-    def _contents(self) -> Contents:
+    def _contents(self) -> DecodedFile:
         return decode(self.to_bytes())
 
     @cached_property
@@ -455,7 +455,7 @@ def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
     return plrs
 
 
-def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Tables:
+def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
     """What queries read of a file of so many bytes, for points counted from an origin."""
     domain, numbers = counted_from(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
@@ -512,14 +512,14 @@ def from_bytes(data: bytes) -> PLR:
     return _assembled(data, decode(data))
 
 
-def plr_of_leaves(contents: Contents, origin: Origin | None = None) -> PLR:
+def plr_of_leaves(contents: DecodedFile, origin: BuildInputs | None = None) -> PLR:
     """Return the PLR that the file of these leaves gives, bit for bit, without reading the file."""
     return _assembled(encode(contents), contents, origin)
 
 
-def _assembled(data: bytes, contents: Contents, origin: Origin | None = None) -> PLR:
+def _assembled(data: bytes, contents: DecodedFile, origin: BuildInputs | None = None) -> PLR:
     """Return the PLR of a file's bytes, with all that the first query needs; it does not keep the contents."""
-    plr = PLR(held(data), origin=origin)
+    plr = PLR(padded_file(data), origin=origin)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
     _ = plr.tables, plr.band, plr._corner_if_far

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
-from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
+from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
 from plr_jax.plr.cell_memory import sources_down
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
@@ -19,7 +19,7 @@ from plr_jax.plr.leaves.base import check_limits
 _COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
 
 
-def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certificate:
+def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
     """The proof for leaves, from the sources of their grown domain."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
@@ -52,7 +52,7 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
 
 
 def certificate_of_bounds(
-    contents: Contents,
+    contents: DecodedFile,
     bounds: LeafBounds,
     rounding: Float[np.ndarray, "leaves"],
     proof: Proof,
@@ -64,7 +64,7 @@ def certificate_of_bounds(
 
 
 @dataclass(frozen=True, eq=False)
-class Origin:
+class BuildInputs:
     """What a PLR was made of, which its file does not hold.
 
     Attributes:
@@ -84,12 +84,12 @@ class Origin:
     priced: PricedNodes | None = None
 
 
-def can_be_updated(contents: Contents) -> bool:
+def can_be_updated(contents: DecodedFile) -> bool:
     """Whether they are certified cones."""
     return contents.certificate is not None and isinstance(contents.leaf, Cone)
 
 
-def require_updatable(contents: Contents) -> None:
+def require_updatable(contents: DecodedFile) -> None:
     """Raise ``ValueError`` if they are no certified cones."""
     if not can_be_updated(contents):
         not_ = "not " if contents.certificate is None else ""
@@ -99,7 +99,9 @@ def require_updatable(contents: Contents) -> None:
         )
 
 
-def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, label: str) -> tuple[Contents, Origin]:
+def updated_contents(
+    contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
+) -> tuple[DecodedFile, BuildInputs]:
     """What :meth:`PLR.updated` makes of leaves, for a file with a label, and what it remembers of them."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
     assert certificate is not None and isinstance(model, Cone), "see require_updatable"
@@ -121,7 +123,7 @@ def updated_contents(contents: Contents, origin: Origin, oracle: DistanceFn, lab
         found = updated_cones(leaves, origin.priced, changed, oracle, before, limits)
     except BudgetTooSmall as error:
         raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
-    new = Contents(domain, model, found.tree, found.stored)
+    new = DecodedFile(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
     rounding, anew = model.rounding(domain, new.tree.leaves, coefficients), found.rebuilt
     enough = partial(certificate.enough, rounding=rounding[anew])

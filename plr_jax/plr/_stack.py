@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import as_queries, mixed, padded, size_in_eighths
+from plr_jax._arrays import as_queries, hash64, padded, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, as_plrs
 from plr_jax.plr.frame import (
@@ -30,7 +30,7 @@ from plr_jax.plr.frame import (
     unresolved_types,
 )
 from plr_jax.plr.query import evaluate_tables
-from plr_jax.plr.tables import Picked, Tables, Trie, laid_out
+from plr_jax.plr.tables import PerPointTable, Tables, Trie, laid_out
 from plr_jax.plr.tree import Cells
 
 # A trie: one table of many PLRs, of as many levels as the deepest needs, each of a few bits of a point's place.
@@ -132,7 +132,7 @@ def _in_pages(
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class _Alike:
+class _SameShapeGroup:
     """PLRs whose domains and foldings have arrays of one structure.
 
     Attributes:
@@ -151,8 +151,8 @@ class _Alike:
     structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
     first_bits: int = field(metadata={"static": True})
 
-    @staticmethod
-    def of(plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_Alike":
+    @classmethod
+    def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
         """That of PLRs, given their tables, and these without leaves."""
         # 1. What tells their domains and foldings apart.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
@@ -169,7 +169,7 @@ class _Alike:
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             key = np.zeros(plr.num_leaves, np.uint64)
             for column in np.ascontiguousarray(of_leaves).view(np.uint32):
-                key = mixed(key + column + np.uint64(1))
+                key = hash64(key + column + np.uint64(1))
             _, first, row = np.unique(key, return_index=True, return_inverse=True)
             rows.append(num_rows + row)
             distinct.append(of_leaves.T[first])
@@ -178,17 +178,15 @@ class _Alike:
         table = padded(table, size_in_eighths(len(table)))
         # 3. The way from a place to a row.
         levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
-        trie, structure = (
-            build_trie([plr.cells for plr in plrs], rows, levels),
-            jax.tree_util.tree_structure(frames[0]),
-        )
+        trie = build_trie([plr.cells for plr in plrs], rows, levels)
+        structure = jax.tree_util.tree_structure(frames[0])
         first_bits = int(levels[1].sum())
-        return _Alike(tuple(arrays), trie, jnp.asarray(laid_out(table)), tuple(shapes), structure, first_bits)
+        return cls(tuple(arrays), trie, jnp.asarray(laid_out(table)), tuple(shapes), structure, first_bits)
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         """The tables of each point's PLR."""
         picked = [
-            array if shape is None else Picked(array, shape, which * np.uint32(prod(shape)), array.dtype)
+            array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
         ]
         tables = jax.tree_util.tree_unflatten(self.structure, picked)
@@ -215,7 +213,7 @@ class PLRStack:
         unresolved: Types of points that cannot be answered, as some domain is too far from the origin.
     """
 
-    groups: tuple[_Alike, ...]
+    groups: tuple[_SameShapeGroup, ...]
     group: UInt32[Array, "plrs"]
     place: UInt32[Array, "plrs"]
     corners: Float[Array, "plrs 3 dim"] | None
@@ -300,7 +298,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     for members in kinds.values():
         group[members], place[members] = len(groups), np.arange(len(members))
         groups.append(
-            _Alike.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
+            _SameShapeGroup.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
         )
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
     parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None

@@ -149,7 +149,7 @@ Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
 """Which boxes of each of the first levels are leaves."""
 
 
-class Thrift(NamedTuple):
+class SearchPruning(NamedTuple):
     """What a search leaves out for its speed.
 
     Attributes:
@@ -165,7 +165,7 @@ class Thrift(NamedTuple):
     is_walked: bool = False
 
 
-EXACT = Thrift()
+EXACT = SearchPruning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ class PriceSearch:
         limits: Limits,
         size: Callable[[int, PricedTree], int],
         num_sources: int = 0,
-        thrift: Thrift = EXACT,
+        thrift: SearchPruning = EXACT,
     ) -> None:
         self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
         self._num_sources, self._thrift = num_sources, thrift

@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import parts, run_members
+from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import CellSources, CellwiseFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree, grown_domain
@@ -86,7 +86,7 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
     piece, column = np.concatenate(held, axis=1)
     # Lower distances to those by way of the sources, of a piece that holds each point, that they see.
     for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
-        pair, row = run_members(visible.first_pair, piece[some])
+        pair, row = take_ragged(visible.first_pair, piece[some])
         source, sources = visible.source[pair], visible.sources
         place = visible.cell[piece[some][row]], column[some][row]
         dx, dy = (x[place] - sources.points[source]).T

@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int, Integer, Shaped, UInt8
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
@@ -53,7 +53,7 @@ def bounds_of_pieces(
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
-    pairs, row = run_members(visible.first_pair, piece)
+    pairs, row = take_ragged(visible.first_pair, piece)
     source, sources = visible.source[pairs], visible.sources
     lowest, highest = cones_above(
         visible.pieces[:, piece[row]], sources.points[source], sources.distances[source], row
@@ -233,7 +233,7 @@ def in_classes(
     return found
 
 
-def in_these_classes(
+def requantize_bounds(
     codes: Integer[np.ndarray, "2 leaves"],
     classes: Integer[np.ndarray, "2 classes"],
     code_factor: Float[np.ndarray, "codes"],
@@ -358,7 +358,7 @@ class Certificate:
             found = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_codes(lower, before.scale), _codes(upper, before.scale)])
-                found = in_these_classes(of_scale, distinct(before.codes), factor, room)
+                found = requantize_bounds(of_scale, distinct(before.codes), factor, room)
                 scale = scale if found is None else before.scale
             if found is None:
                 found = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import runs
+from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
 _BITS, _MOST_BYTES = 7, 10  # of a byte of a varint, and bytes of the largest
@@ -76,7 +76,7 @@ class BitWriter:
         if isinstance(widths, int):
             bits = (values[:, None] >> np.arange(widths)) & 1
         else:
-            field, within = runs(widths)
+            field, within = ragged_indices(widths)
             bits = (values[field] >> within) & 1
         self._bits.append(bits.astype(np.uint8).ravel())
         return self
@@ -139,7 +139,7 @@ class BitReader:
     def read(self, widths: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """The next values, each of as many bits as its width says; raises ``ValueError`` past the end."""
         bits = self._take(int(widths.sum()))
-        field, within = runs(widths)
+        field, within = ragged_indices(widths)
         values = np.zeros(len(widths), np.int64)
         np.add.at(values, field, bits << within)
         return values

@@ -349,7 +349,7 @@ def _decimals(numbers: list[float]) -> bytes | None:
 _SIZE_BYTES = 4
 
 
-class HeldFile:
+class FileBacked:
     """What is made of a file's bytes alone: the bytes, their label, and how much memory the tables take."""
 
     tables: Any
@@ -390,7 +390,7 @@ class HeldFile:
         if label == self.label:
             return self
         made_of: Any = type(self)
-        return made_of(held(replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()))
+        return made_of(padded_file(replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()))
 
     @property
     def resident_bytes(self) -> int:
@@ -400,7 +400,7 @@ class HeldFile:
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
 
-def held(data: bytes) -> UInt8[np.ndarray, "padded"]:
+def padded_file(data: bytes) -> UInt8[np.ndarray, "padded"]:
     """Bytes of a file as an array of one of few sizes: padded with zeros, and last of all how many they are."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)

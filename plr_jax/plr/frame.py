@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias, cast, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import runs, shortened
+from plr_jax._arrays import ragged_indices, shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells
@@ -65,7 +65,7 @@ def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
     """Integer points of many boxes: the box's index and the point, for each."""
-    box, rest = runs(count.prod(axis=1))
+    box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
         rest, digit = np.divmod(rest, count[box, axis])

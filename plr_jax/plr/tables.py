@@ -75,7 +75,7 @@ class Trie:
 
 
 @dataclass(frozen=True, eq=False)
-class Picked:
+class PerPointTable:
     """An array that differs from point to point: as it were one of several, which one ``start`` says.
 
     It is indexed as an array is, up to numbers, of which there is one a point.
@@ -92,7 +92,7 @@ class Picked:
     start: UInt32[Array, "*batch"]
     dtype: Any
 
-    def astype(self, dtype: Any) -> "Picked":
+    def astype(self, dtype: Any) -> "PerPointTable":
         """The same, of numbers of another type."""
         return replace(self, dtype=dtype)
 
@@ -126,10 +126,10 @@ class FoldedWindow:
         periodic: The periodic axes.
     """
 
-    frame: Float[Array, "7 dim"] | Picked
-    center: Float[Array, "2 dim"] | Picked
-    corners: Float[Array, "2 dim"] | Picked
-    axes: Float[Array, "dim dim"] | Picked | None
+    frame: Float[Array, "7 dim"] | PerPointTable
+    center: Float[Array, "2 dim"] | PerPointTable
+    corners: Float[Array, "2 dim"] | PerPointTable
+    axes: Float[Array, "dim dim"] | PerPointTable | None
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
@@ -367,7 +367,7 @@ class Tables:
         unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
     """
 
-    frame: Float[Array, "7 dim"] | Picked
+    frame: Float[Array, "7 dim"] | PerPointTable
     bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
     pages: Pages | None

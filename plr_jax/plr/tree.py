@@ -8,7 +8,7 @@ from typing import Any, Self, cast
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import mixed
+from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
 
 PLACING = 2.0**-21
@@ -93,7 +93,7 @@ class Cells(Rows):
         numbers = (np.int64(1) << self.depth) + self.position  # 1 for the whole, 2 and 3 for halves, and so on
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
-            total = mixed(total + along.astype(np.uint64))
+            total = hash64(total + along.astype(np.uint64))
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":

@@ -126,7 +126,7 @@ _AT_ONCE = 1024  # points that a worker is asked for, however many workers there
 
 
 @dataclass(frozen=True, eq=False)
-class AskedFn:
+class ParallelOracle:
     """A distance function, answered from what is kept or by workers; None: by this process, and kept nowhere."""
 
     distance_fn: DistanceFn

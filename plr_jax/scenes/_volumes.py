@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_bool, as_finite, parts, runs, shortened
+from plr_jax._arrays import as_bool, as_finite, parts, ragged_indices, shortened
 from plr_jax._files import errors_named, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -191,7 +191,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
             num_rows, num_met = num_rows + len(row), num_met + int(count.sum())
             if num_rows > _MOST_ROWS or num_met > _MOST_MET:
                 raise ValueError("the triangles meet too many voxels, one after the other: give a larger pitch.")
-            run, place = runs(count)
+            run, place = ragged_indices(count)
             blocked[slab[piece][run], row[run], first[run] + place] = True
 
 
@@ -201,7 +201,7 @@ def _layers(
     """Pieces and the layers of the grid across an axis that they reach into, some at a time."""
     first, count = _reaches(ends, size)
     for part in parts(count, _AT_A_TIME):
-        piece, place = runs(count[part])
+        piece, place = ragged_indices(count[part])
         yield piece + part.start, first[part][piece] + place
 
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, shortened, told
+from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
@@ -241,10 +241,10 @@ class ClearanceSpace:
         over = difference - allowed - rounding
         if (over > 0).any():
             i = over.argmax()
-            where = f"{a[i]:.6g} at {told(q0[i])} and {b[i]:.6g} at {told(q1[i])}"
+            where = f"{a[i]:.6g} at {format_numbers(q0[i])} and {b[i]:.6g} at {format_numbers(q1[i])}"
             raise ValueError(
                 f"lipschitz must bound how fast the clearance changes, but that is {where}: they differ by "
-                f"{difference[i]:.6g}, where {told(self.lipschitz)} allows {allowed[i]:.6g}. "
+                f"{difference[i]:.6g}, where {format_numbers(self.lipschitz)} allows {allowed[i]:.6g}. "
                 + _least_constants(self.lipschitz, change[i], difference[i])
             )
 

@@ -18,7 +18,7 @@ from plr_jax._arrays import (
     as_numbers,
     as_points,
     parts,
-    runs,
+    ragged_indices,
     set_fields,
     shortened,
     with_inf_for_masked,
@@ -473,7 +473,7 @@ class SparseTable:
         """Extremes of blocks that are covered by so many windows of one level along each axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
-        block, rest = runs(totals)
+        block, rest = ragged_indices(totals)
         begin = np.empty((len(block), counts.shape[1]), np.intp)
         for axis in range(counts.shape[1]):
             rest, step = np.divmod(rest, counts[block, axis])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
-from plr_jax.collision.team import JointMotionTest, Traffic, circles, motions_apart, within_reach
+from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles, motions_apart, within_reach
 from plr_jax.collision.walls import MotionTest
 
 TOLERANCE = 1e-9
@@ -159,7 +159,7 @@ def test_motions_meet_others_as_they_are_not_apart_from_them():
         path, motion = random_path(rng, 9, 3.0), rng.integers(0, 8, 300)
         begin, end = (path[motion + ahead, i] + rng.normal(0, 0.3, (300, 3)) for ahead in (0, 1))
         other = rng.choice(sorted(set(range(len(CROWD))) - {i}), 300)
-        found = CROWD_TEST.meet(i, begin, end, Traffic(CROWD, path), motion, other)
+        found = CROWD_TEST.meet(i, begin, end, TeamTrajectory(CROWD, path), motion, other)
         for k, j in enumerate(other.tolist()):
             theirs = (path[[motion[k] + ahead], j] for ahead in (0, 1))
             assert found[k] == ~CROWD_TEST.apart(i, begin[[k]], end[[k]], j, *theirs)[0]
@@ -169,7 +169,7 @@ def test_motions_meet_others_as_they_are_not_apart_from_them():
 
 def test_nobody_far_away_is_near():
     q = np.array([[(0.0, 0.0), (1.0, 0.0), (0.0, 9.0)]] * 2)
-    traffic = Traffic([DISC] * 3, q)
+    traffic = TeamTrajectory([DISC] * 3, q)
     around, motion = circles(q[:1, :1], q[1:, :1]), np.array([0])
     assert [x.tolist() for x in traffic.near(0, around, motion)] == [[], []]  # two radii are 0.6
     traffic.move(1, np.array([(0.5, 0.0)] * 2))
@@ -182,11 +182,11 @@ def test_nobody_far_away_is_near():
 def test_motions_changed_in_some_rows_are_as_if_the_path_had_been_made_so(seed):
     rng = np.random.default_rng(seed)
     path = random_path(rng, 12, 4.0)
-    traffic, changed = Traffic(CROWD, path), path.copy()
+    traffic, changed = TeamTrajectory(CROWD, path), path.copy()
     for i, rows in ((1, slice(0, 12)), (3, slice(4, 9)), (3, slice(7, 12))):
         changed[rows, i][1:-1] += rng.normal(0, 1, (rows.stop - rows.start - 2, 3))
         traffic.move(i, changed[rows, i], rows)
-    made = Traffic(CROWD, changed)
+    made = TeamTrajectory(CROWD, changed)
     np.testing.assert_array_equal(traffic.path, changed)
     around, motion = circles(*rng.uniform(0, 4, (2, 40, 2, 3))), rng.integers(0, 11, 40)
     for a, b in zip(traffic.near(2, around, motion), made.near(2, around, motion), strict=True):

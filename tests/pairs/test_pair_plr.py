@@ -13,7 +13,7 @@ from pair_helpers import MAZE, TEN, exact, serpentine, stored_ring, two_batches
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.pairs.stored import Stored
+from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr.tree import Cells, tree_of
 
 INSIDE = np.array([0.1, 0.1])
@@ -183,7 +183,7 @@ def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
 def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_they_are_alike(maze):
     stored, count = maze.stored, maze.num_corners
     one_leaf = tree_of(Cells.root(2)), np.zeros(count, int), np.arange(count)
-    single = Stored(stored.domain, stored.outline, stored.corner, stored.edges, *one_leaf, stored.rounding)
+    single = PairsFileData(stored.domain, stored.outline, stored.corner, stored.edges, *one_leaf, stored.rounding)
     coarse = pairs_from_bytes(single.to_bytes())
     goal, x = MAZE.sample_free(1, seed=8)[0], MAZE.sample_free(4000, seed=3)
     assert coarse.num_leaves == 1 and np.abs(np.asarray(coarse.to(goal)(x)) - maze(x, goal)).mean() < 1e-4

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import floyd_warshall
 from plr_jax import Box, Workspace
 from plr_jax.pairs.construct import outline_of
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.pairs.stored import Stored, distances_by_rows, read_outline
+from plr_jax.pairs.stored import PairsFileData, distances_by_rows, read_outline
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import PAIRS_CODE, Container, Header
 from plr_jax.plr.tree import Cells
@@ -94,7 +94,7 @@ def test_distances_between_corners_are_those_over_the_edges(monkeypatch):
 
 
 def check_read_as_written(stored):
-    again = Stored.from_bytes(stored.to_bytes())
+    again = PairsFileData.from_bytes(stored.to_bytes())
     assert again.to_bytes() == stored.to_bytes()
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(again, name), getattr(stored, name))
@@ -138,10 +138,10 @@ def check_refused(file, message, **changes):
     """Fails unless a file, some of whose parts are changed, is refused; or read, if there is no message."""
     data = replace(Container.from_bytes(file.to_bytes()), **changes).to_bytes()
     if message is None:
-        assert Stored.from_bytes(data).to_bytes() == file.to_bytes()
+        assert PairsFileData.from_bytes(data).to_bytes() == file.to_bytes()
     else:
         with pytest.raises(ValueError, match=message):
-            Stored.from_bytes(data)
+            PairsFileData.from_bytes(data)
 
 
 def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
@@ -171,7 +171,7 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
 def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
     """Three layers, of which the second one holds the joined pairs."""
     data = (Path(__file__).parent / "maze_of_0_1.plr").read_bytes()
-    old, marks = Stored.from_bytes(data), Header.read(data).marks
+    old, marks = PairsFileData.from_bytes(data), Header.read(data).marks
     for name in ("corner", "edges", "rounding", "points"):
         np.testing.assert_array_equal(getattr(old, name), getattr(maze.stored, name))
     check_read_as_written(old)
@@ -181,7 +181,7 @@ def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
     for whole in (data, maze.to_bytes()):
         for size in range(0, len(whole), 7):
             with pytest.raises(ValueError):
-                Stored.from_bytes(whole[:size])
+                PairsFileData.from_bytes(whole[:size])
         for mark in Header.read(whole).marks:
             with pytest.raises(ValueError, match="cut off before its lists of corners"):
-                Stored.from_bytes(whole[:mark])
+                PairsFileData.from_bytes(whole[:mark])

@@ -9,7 +9,7 @@ import pytest
 
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents
+from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.faces import shared_faces
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import ConeFiles
@@ -120,14 +120,14 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
         partition.tied[~partition.between_reachable()] = False
         stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
     domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5, periodic or None)
-    return Contents(domain, model, tree, stored)
+    return DecodedFile(domain, model, tree, stored)
 
 
 def quarters_in_another_order():
     """Quarters of the unit square, first split along axis 1: below are the values 0 and 1, above 2 and 3."""
     tree = tree_of_axes([np.array([1]), np.array([0, 0]), np.full(4, -1)], 2)
     planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
-    return Contents(UNIT, leaf_model("plane"), tree, planes)
+    return DecodedFile(UNIT, leaf_model("plane"), tree, planes)
 
 
 def sealed(content):
@@ -137,7 +137,7 @@ def sealed(content):
 
 def contents_of_planes(cells, planes, domain=UNIT):
     """What a file of planes holds."""
-    return Contents(domain, leaf_model("plane"), tree_of(cells), planes)
+    return DecodedFile(domain, leaf_model("plane"), tree_of(cells), planes)
 
 
 def assert_refused_for_little(read, given, message, most):

@@ -16,7 +16,7 @@ from plr_helpers import UNIT, leaf_by_search, points
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.best_partition import PriceSearch, Thrift
+from plr_jax.plr.best_partition import PriceSearch, SearchPruning
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
@@ -323,7 +323,9 @@ def test_boxes_above_the_start_are_leaves_where_one_source_serves_all(workspace,
 
 def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
     levels, roots, _ = levels_of_family(monkeypatch, MAZE, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**3)
-    price_search = PriceSearch(levels, roots, limits_of(64), lambda member, tree: 0, thrift=Thrift(1.2, 4, 0.99))
+    price_search = PriceSearch(
+        levels, roots, limits_of(64), lambda member, tree: 0, thrift=SearchPruning(1.2, 4, 0.99)
+    )
     forest = price_search.first()
     while (larger := price_search.next(forest)) is not None:
         forest = larger

@@ -476,7 +476,7 @@ def test_bytes_are_padded_to_few_sizes_and_their_number_comes_last(data, more):
     data = (data + bytes(1000))[: max(0, padded_size(len(data)) + more)]
     array = container_module.held(data)
     assert len(array).bit_count() == 1 and len(data) + 4 <= len(array) <= 2 * (len(data) + 4)
-    found = container_module.HeldFile()
+    found = container_module.FileBacked()
     found.file = array
     assert found.to_bytes() == data and found.num_bytes == len(data)
 

@@ -8,7 +8,7 @@ import shapely
 from plr_helpers import UNIT, cone
 
 from plr_jax import Box, TraceStatus, VisibilityGraph, Workspace, construct, from_bytes, scenes, trace
-from plr_jax.plr._file import Contents, encode
+from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources
 from plr_jax.plr.tree import Cells, tree_of
@@ -30,7 +30,7 @@ def of_sources(code, parent, root_offset=None, source=0):
     offsets = np.zeros(len(code)) if root_offset is None else np.array(root_offset)
     sources = StoredSources(0, 0, 100, np.array(code), np.array(parent), offsets)
     stored = StoredCones(sources, np.array([source]))
-    return encode(Contents(UNIT, leaf_model("cone"), tree_of(Cells.root(2)), stored))
+    return encode(DecodedFile(UNIT, leaf_model("cone"), tree_of(Cells.root(2)), stored))
 
 
 def test_a_drawn_way(plr):

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr._file import Contents, counted_from
+from plr_jax.plr._file import DecodedFile, counted_from
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Frame,
@@ -113,7 +113,7 @@ class Program:
             least and largest coordinates. None if they are not.
     """
 
-    def __init__(self, contents: Contents) -> None:
+    def __init__(self, contents: DecodedFile) -> None:
         """Of a file; raises ``ValueError`` if 32-bit floats cannot hold its numbers."""
         self.contents, self.leaf = contents, contents.leaf
         self.domain = domain = contents.domain if contents.folding is None else contents.folding.domain

@@ -5,8 +5,8 @@ import numpy as np
 from plr_jax.plr.leaves import Cone
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
 from plr_jax.plr.portable.writers import (
-    Text,
-    Writer,
+    Emitter,
+    Expression,
     ends_of,
     filled_lines,
     indented,
@@ -16,7 +16,7 @@ from plr_jax.plr.portable.writers import (
 )
 
 
-class CWriter(Writer):
+class CWriter(Emitter):
     """Of C99."""
 
     root_of, cast = "sqrtf({})", "(float)({})"
@@ -34,12 +34,12 @@ class CWriter(Writer):
             return "INFINITY" if number > 0 else "-INFINITY"
         return str(number) + ("f" if number.dtype == np.float32 else "")
 
-    def floor(self, x: Text) -> Text:
+    def floor(self, x: Expression) -> Expression:
         """By a function of the program, there is one for each type."""
         self.floors.add(x.type)
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
-    def fraction(self, x: Text) -> Text:
+    def fraction(self, x: Expression) -> Expression:
         """The bits at the upper end of a word, from where they are taken."""
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
 
@@ -128,7 +128,7 @@ def c_header(program: Program, name: str) -> str:
         "",
     ]
 
-    def read_leaf(do: CWriter, places: list[Text]) -> list[Text]:
+    def read_leaf(do: CWriter, places: list[Expression]) -> list[Expression]:
         """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
         row, counts = "0", ["1.0f", "0.0f"] * dim
         if has_tree:

@@ -8,13 +8,13 @@ import numpy as np
 
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents
+from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.frame import Frame
 from plr_jax.plr.leaves import Cone, ConeFiles, as_sourced
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, Value, distinct_rows
 from plr_jax.plr.portable.writers import (
-    Text,
-    Writer,
+    Emitter,
+    Expression,
     ends_of,
     filled_lines,
     indented,
@@ -24,7 +24,7 @@ from plr_jax.plr.portable.writers import (
 from plr_jax.plr.tree import Cells, tree_of
 
 
-class JavaScriptWriter(Writer):
+class JavaScriptWriter(Emitter):
     """Of JavaScript, whose numbers have 64 bits: ``f`` rounds each operation to 32."""
 
     root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
@@ -34,11 +34,11 @@ class JavaScriptWriter(Writer):
         """The shortest decimal of the number in 64 bits."""
         return _decimal(float(number))
 
-    def floor(self, x: Text) -> Text:
+    def floor(self, x: Expression) -> Expression:
         """Exact in both precisions."""
         return self.atom(f"Math.floor({x})", x.type)
 
-    def fraction(self, x: Text) -> Text:
+    def fraction(self, x: Expression) -> Expression:
         """The bits at the upper end of a word, from where they are taken."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
@@ -53,9 +53,9 @@ class _OfTables(Program):
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
         goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
         stored = ConeFiles(goal, domain).stored(np.zeros(2, int))  # any, of more than one leaf
-        super().__init__(Contents(domain, Cone(), halves, stored))
+        super().__init__(DecodedFile(domain, Cone(), halves, stored))
 
-        def named(name: str, of_type: str = "float") -> list[Text]:
+        def named(name: str, of_type: str = "float") -> list[Expression]:
             return [JavaScriptWriter().atom(f"{name}{axis}", of_type) for axis in range(2)]
 
         self.frame = [named(row.name.lower()) for row in Frame]
@@ -142,7 +142,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
-    def read_leaf(do: JavaScriptWriter, places: list[Text]) -> list[Text]:
+    def read_leaf(do: JavaScriptWriter, places: list[Expression]) -> list[Expression]:
         """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
         row, counts = "0", ["1", "0"] * dim
         if has_tree:
@@ -153,7 +153,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
         return [do.atom(text) for text in [*counts * program.leaf.is_of_cells, *numbers]]
 
-    def value(of_nan: str, others: str) -> tuple[JavaScriptWriter, Text]:
+    def value(of_nan: str, others: str) -> tuple[JavaScriptWriter, Expression]:
         """A function as far as its value, given what it answers for NaN, and else outside."""
         do = JavaScriptWriter()
         outside = [f"return {is_nan(dim)} ? {of_nan} : {others};"]

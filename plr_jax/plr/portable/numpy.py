@@ -20,10 +20,10 @@ from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, limited
 from plr_jax.plr.portable.c import c_header
 from plr_jax.plr.portable.javascript import js_module
-from plr_jax.plr.portable.writers import Text, Writer
+from plr_jax.plr.portable.writers import Emitter, Expression
 
 
-class PythonWriter(Writer):
+class PythonWriter(Emitter):
     """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
 
     conjunction, conditional = "and", "({1} if {0} else {2})"
@@ -39,11 +39,11 @@ class PythonWriter(Writer):
         self.constants[name] = number
         return name
 
-    def floor(self, x: Text) -> Text:
+    def floor(self, x: Expression) -> Expression:
         """The floor as a scalar of the same type."""
         return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
 
-    def fraction(self, x: Text) -> Text:
+    def fraction(self, x: Expression) -> Expression:
         """The product is exact."""
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
 

@@ -18,7 +18,7 @@ _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # how tightly 
 
 
 @dataclass(frozen=True, eq=False)
-class Text:
+class Expression:
     """An expression. Operators join texts as they join numbers, with the parentheses that the order needs.
 
     Attributes:
@@ -46,7 +46,7 @@ class Text:
         of_type = "double" if "double" in (left.type, right.type) else "float"
         # Sums and products are from left to right.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
-        value = Text(text, level, of_type, self.language)
+        value = Expression(text, level, of_type, self.language)
         return value if self.language.is_rounded or of_type == "double" else self.language.rounded(value)
 
     def __add__(self, other: Any) -> "Text":
@@ -56,9 +56,9 @@ class Text:
         return self._joined("+", self.language.constant(other), self, _SUM)
 
     def __sub__(self, other: Any) -> "Text":
-        if not isinstance(other, Text) and other == 0:
+        if not isinstance(other, Expression) and other == 0:
             return self
-        if not isinstance(other, Text) and other < 0:
+        if not isinstance(other, Expression) and other < 0:
             return self + -other
         return self._joined("-", self, self.language.constant(other), _SUM)
 
@@ -66,7 +66,7 @@ class Text:
         return self._joined("-", self.language.constant(other), self, _SUM)
 
     def __mul__(self, other: Any) -> "Text":
-        if not isinstance(other, Text) and other == 1:
+        if not isinstance(other, Expression) and other == 1:
             return self
         return self._joined("*", self, self.language.constant(other), _PRODUCT)
 
@@ -74,21 +74,21 @@ class Text:
         return self._joined("*", self.language.constant(other), self, _PRODUCT)
 
     def __neg__(self) -> "Text":
-        return Text(f"-{self.at_least(_ATOM)}", _PRODUCT, self.type, self.language)
+        return Expression(f"-{self.at_least(_ATOM)}", _PRODUCT, self.type, self.language)
 
     def _compared(self, symbol: str, other: Any) -> "Text":
         left, right = self.at_least(_SUM), self.language.constant(other).at_least(_SUM)
-        return Text(f"{left} {symbol} {right}", _COMPARISON, "int", self.language)
+        return Expression(f"{left} {symbol} {right}", _COMPARISON, "int", self.language)
 
     __lt__, __gt__ = partialmethod(_compared, "<"), partialmethod(_compared, ">")
     __le__, __ge__ = partialmethod(_compared, "<="), partialmethod(_compared, ">=")
 
     def __and__(self, other: "Text") -> "Text":
         text = f"{self.at_least(_CONDITION)} {self.language.conjunction} {other.at_least(_CONDITION)}"
-        return Text(text, _CONDITION, "int", self.language)
+        return Expression(text, _CONDITION, "int", self.language)
 
 
-class Writer(Operations, ABC):
+class Emitter(Operations, ABC):
     """Operations that write statements, one a name.
 
     Attributes:
@@ -110,19 +110,19 @@ class Writer(Operations, ABC):
         self.statements: list[str] = []
         self._names: Counter[str] = Counter()
 
-    def atom(self, text: str, of_type: str = "float") -> Text:
+    def atom(self, text: str, of_type: str = "float") -> Expression:
         """An expression that needs no parentheses."""
-        return Text(text, _ATOM, of_type, self)
+        return Expression(text, _ATOM, of_type, self)
 
-    def constant(self, value: Any) -> Text:
+    def constant(self, value: Any) -> Expression:
         """A number as it stands in the program; a text as it is."""
-        if isinstance(value, Text):
+        if isinstance(value, Expression):
             return value
         number = value if isinstance(value, np.floating) else np.float32(value)
         of_type = "double" if isinstance(number, np.float64) else "float"
-        return Text(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
+        return Expression(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
 
-    def let(self, name: str, value: Any) -> Text:
+    def let(self, name: str, value: Any) -> Expression:
         """A new name, numbered, for an expression; a name stays what it is."""
         if value.text.isidentifier():
             return value
@@ -131,16 +131,16 @@ class Writer(Operations, ABC):
         self.statements.append(self.definition.format(type=value.type, name=unique, value=value))
         return self.atom(unique, value.type)
 
-    def where(self, condition: Text, yes: Any, no: Any) -> Text:
+    def where(self, condition: Expression, yes: Any, no: Any) -> Expression:
         """One of two values."""
         yes, no = self.constant(yes), self.constant(no)
         return self.atom(self.conditional.format(condition, yes, no), no.type)
 
-    def root(self, x: Text) -> Text:
+    def root(self, x: Expression) -> Expression:
         """The square root of a 32-bit number."""
         return self.atom(self.root_of.format(x))
 
-    def rounded(self, x: Text) -> Text:
+    def rounded(self, x: Expression) -> Expression:
         """The value in 32 bits."""
         return self.atom(self.cast.format(x))
 
@@ -149,11 +149,11 @@ class Writer(Operations, ABC):
         """A number."""
 
     @abstractmethod
-    def floor(self, x: Text) -> Text:
+    def floor(self, x: Expression) -> Expression:
         """The largest integer that is not above, in the same type."""
 
     @abstractmethod
-    def fraction(self, x: Text) -> Text:
+    def fraction(self, x: Expression) -> Expression:
         """The 23 bits behind the point: in Python as they are, elsewhere at the upper end of a word."""
 
     def used_statements(self) -> list[str]:
@@ -167,8 +167,12 @@ class Writer(Operations, ABC):
 
 
 def write_lookup(
-    do: Writer, program: Program, of_type: str, read_leaf: Callable[[Any, list[Text]], list[Text]], outside: list[str]
-) -> tuple[list[Text], list[Text]]:
+    do: Emitter,
+    program: Program,
+    of_type: str,
+    read_leaf: Callable[[Any, list[Expression]], list[Expression]],
+    outside: list[str],
+) -> tuple[list[Expression], list[Expression]]:
     """Write a function of C or JavaScript, of a point ``x``, as far as its leaf.
 
     Args:

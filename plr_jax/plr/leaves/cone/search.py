@@ -14,11 +14,20 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.plr.best_partition import EXACT, POOR, BoxLevel, Forest, PricedTree, PriceSearch, Thrift, may_halve
+from plr_jax.plr.best_partition import (
+    EXACT,
+    POOR,
+    BoxLevel,
+    Forest,
+    PricedTree,
+    PriceSearch,
+    SearchPruning,
+    may_halve,
+)
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import bounds_of_pieces
 from plr_jax.plr.growth import Limits
@@ -140,7 +149,7 @@ def errors_of_options(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
     """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
-    piece, option = run_members(visible.first_piece, box)
+    piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
     def above_options(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
@@ -294,7 +303,7 @@ def sources_in_sight(
 def _changes(tree: LeafBoxes, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
-    option, leaf = run_members(options.first, box)
+    option, leaf = take_ragged(options.first, box)
     if not len(leaf):
         return leaf, leaf
     is_own = options.is_own[option]
@@ -349,7 +358,7 @@ def best_cones(
     limits: Limits,
     pattern: Pattern,
     run: Run,
-    thrift: Thrift = EXACT,
+    thrift: SearchPruning = EXACT,
 ) -> list[ConeTree]:
     """The leaves of each member, some of which have sources that are in sight instead of the best ones.
 
@@ -404,7 +413,7 @@ _MOST_SPLITS, _LEAVES_A_START = 9, 8.0
 _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
 _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
 # Boxes are left out that seldom are leaves, for which the search is twice as quick.
-_THRIFT = Thrift(1.0, 5, 0.99, is_walked=True)
+_THRIFT = SearchPruning(1.0, 5, 0.99, is_walked=True)
 _ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
 
 

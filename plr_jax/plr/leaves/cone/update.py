@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, ChangingFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
@@ -144,7 +144,7 @@ class ConeLeaves:
         At most these are what was proven of the leaf, and by how much they have grown.
         """
         first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # pairs of each triangle
-        rows, met = run_members(first, triangle)
+        rows, met = take_ragged(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
         (lo, hi), source = self._boxes, pairs.source[rows]
