@@ -474,7 +474,7 @@ def test_labels_are_of_the_file_alone_and_bytes_are_those_of_the_file(held, tmp_
 def test_bytes_are_padded_to_few_sizes_and_their_number_comes_last(data, more):
     """Also about the sizes themselves, which are powers of two."""
     data = (data + bytes(1000))[: max(0, padded_size(len(data)) + more)]
-    array = container_module.held(data)
+    array = container_module.padded_file(data)
     assert len(array).bit_count() == 1 and len(data) + 4 <= len(array) <= 2 * (len(data) + 4)
     found = container_module.FileBacked()
     found.file = array
