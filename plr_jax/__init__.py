@@ -86,5 +86,5 @@ queries a PLR imports neither Shapely nor NetworkX nor Matplotlib, nor the slow 
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the list is in __init__.pyi
