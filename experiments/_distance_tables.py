@@ -51,9 +51,10 @@ def query(results: dict[str, Any]) -> str:
     """Bytes, error and nanoseconds a point of every contender in the maze, and of the joint distance."""
     plane, joint = results["plane"], results["joint"]
     return _nanoseconds(plane) + (
-        f"\nMedians of calls that take turns in one process, {plane['leaves']} leaves; errors over free points. "
-        f"In 4-D, {joint['leaves']:,} leaves of the joint distance of two robots: "
-        f"{joint['nanoseconds']['PLR'][0]:.1f} ns a point of {plane['points'][-1]:,}.\n"
+        f"\nMedians of interleaved calls in one process; PLRs have {plane['leaves']} leaves; errors are of "
+        "free points. "
+        f"A 4-D PLR of {joint['leaves']:,} leaves, the joint distance of two robots, takes "
+        f"{joint['nanoseconds']['PLR'][0]:.1f} ns a point in a batch of {plane['points'][-1]:,}.\n"
     )
 
 
@@ -79,7 +80,7 @@ def table1(results: dict[str, Any]) -> str:
         cells = {error: f"{values[0]:.2g} ({max(values):.2g})" for error, values in errors.items()}
         rows.append({**row, "bytes": f"{row['seeds'][0]['bytes']:,}", **cells})
     columns = [(name, f"{{{name}}}") for name in ("scene", "method", "configuration", "bytes")]
-    note = f"\nOf seed {results['seeds'][0]}; in brackets the worst of {len(results['seeds'])} seeds.\n"
+    note = f"\nResults of seed {results['seeds'][0]}, and in brackets the worst of {len(results['seeds'])} seeds.\n"
     return formatted(rows, *columns, ("max error", "{max}"), ("mean error", "{mean}"), words=3) + note
 
 
@@ -92,7 +93,7 @@ def accuracy(results: dict[str, Any]) -> str:
         for contender in dict.fromkeys(row["contender"] for row in rows):
             errors = {row["budget"]: row["free"] for row in rows if row["contender"] == contender}
             table.append([name, contender, *(mean_and_largest(errors.get(budget)) for budget in budgets)])
-    note = "Mean error, and in brackets the largest, over the free points that it answers; *: not all of them."
+    note = "Mean error, and in brackets the largest, over all free points; *: the method leaves some points out."
     return markdown(table, numbers=len(budgets)) + f"\n{note}\n"
 
 
@@ -117,7 +118,7 @@ def oracle(results: dict[str, Any]) -> str:
                 cells += [f"{rival['prepare']:.2g}", f"{1e6 * rival['query']:,.0f}"]
         rows.append([name, *cells])
     return markdown(rows, numbers=len(rows[0]) - 1) + (
-        "\nOurs in a batch, theirs one point a call, as they offer it; preparing includes the workspace.\n"
+        "\nOur queries are batched; the others offer one point a call. Preparation includes the workspace.\n"
     )
 
 
@@ -140,11 +141,11 @@ def proofs(results: dict[str, Any], oracles: dict[str, Any]) -> str:
     names = dict.fromkeys(row["map"] for row in sizes["rows"] if row["map"] in corners)
     of_maps = ", ".join(f"{name} {_BYTES_A_CORNER * corners[name]:,}" for name in names)
     return table + (
-        f"\nMean over {sizes['points']:,} free points; exact: share of them whose error is at most "
-        f"{sizes['exact']:.0e} of the largest distance; seconds from polygons to the certified PLR. The "
-        f"largest error that was found is the largest proven one, to a factor of {worst:.3f}. The maps themselves, "
-        f"as 16-bit corners, take {of_maps} bytes, mostly less than these files: what files "
-        "buy is a query without visibility tests, the proof, and the way home.\n"
+        f"\nMeans over {sizes['points']:,} free points. Exact: share of points whose error is at most "
+        f"{sizes['exact']:.0e} of the largest distance. Seconds run from polygons to the certified PLR. The proven "
+        f"largest error exceeds the measured one by a factor of at most {worst:.3f}. The maps themselves, as 16-bit "
+        f"corners, take {of_maps} bytes, mostly less than these files. In return, the files need no visibility "
+        "tests, prove their errors, and lead home.\n"
     )
 
 
@@ -161,7 +162,9 @@ def proof_speed(results: dict[str, Any]) -> str:
         f"{row['map']} {row['leaf']}s {row['seconds'][0]:.2g} s ({row['leaves']:,} leaves, {row['bytes']:,} bytes)"
         for row in results["speed"]["builds"]
     )
-    note = f"{queries['points']:,} points of the {queries['map']}. From workspace to PLR, warm: {builds}."
+    note = (
+        f"A batch of {queries['points']:,} points of the {queries['map']}. Warm build, from the workspace: {builds}."
+    )
     return markdown(rows, numbers=len(numbers)) + f"\n{note}\n"
 
 
@@ -179,15 +182,15 @@ def proof_checks(results: dict[str, Any]) -> str:
         return sum(row[what] for row in results["astar"]["rows"] if kind in row["heuristic"])
 
     note = (
-        "Points times leaf models, which are cones, planes and continuous, with bounds of every leaf; half of the "
-        "points are uniform, half "
-        "beside walls, corners and borders of cells; brute force shares no code with the package. "
-        "Of points from which no path leads to the goal but to the workspace's tolerance, "
-        f"{sum(row['by_tolerance'] for row in chain.from_iterable(groups.values()))} are beyond the bounds. "
+        "Each point counts once for each leaf model: cones, planes and continuous leaves, with bounds of every leaf. "
+        "Half of the points are uniform, half lie beside walls, corners and borders of cells. The brute-force truth "
+        "shares no code with the package. "
+        f"{sum(row['by_tolerance'] for row in chain.from_iterable(groups.values()))} points that reach the goal only "
+        "through gaps below the workspace's tolerance are outside the bounds. "
         f"{len(slivers['refused'])} of {len(slivers['totals']) * slivers['num_maps']} PLRs of random maps could not "
-        f"be built. A* on grids, {searches(', lower', 'problems'):,} searches under proven lower bounds: "
-        f"{searches(', lower', 'not_optimal')} paths that are not optimal; under PLRs themselves "
-        f"{searches(' itself', 'not_optimal')}."
+        f"be built. In {searches(', lower', 'problems'):,} A* searches on grids with proven lower bounds as the "
+        f"heuristic, {searches(', lower', 'not_optimal')} paths were not optimal; with the PLRs' estimates "
+        f"{searches(' itself', 'not_optimal')} were not."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"
 
@@ -200,7 +203,8 @@ def trace(results: dict[str, Any]) -> str:
         *(("length over exact", "1 + {over[mean]:.1e}"), ("longest", "1 + {over[max]:.1e}")),
     )
     return table + (
-        f"\n{results['starts']:,} starts; no deeper inside a wall than {results['depth']:.0e} of the map's width.\n"
+        f"\n{results['starts']:,} starts. A path meets no wall if it is nowhere deeper inside a wall than "
+        f"{results['depth']:.0e} of the map's width.\n"
     )
 
 
@@ -221,12 +225,12 @@ def solve_plane(results: dict[str, Any]) -> str:
     ours = [row for row in results["rows"] if row["method"] == "solve_eikonal"]
     first = results["first_call"]
     return _solved("map", results["rows"], **shares) + (
-        f"\nErrors and gaps over the mean distance of the same points, of {results['points']:,} random free ones; "
-        "cells are those solved on, samples of a roadmap. Bounds tested at "
+        f"\nErrors and gaps are shares of the mean distance of {results['points']:,} random free points. Size means "
+        "cells of the solver, or samples of a roadmap. Bounds were tested at "
         f"{ours[0]['points_tested']:,} points a map for each of {len(ours)} PLRs: "
-        f"{sum(row['lower_violated'] for row in ours)} below a lower bound, "
-        f"{sum(row['upper_violated'] for row in ours)} above an upper one. The first call in a process takes "
-        f"{first['first']:.1f} s, a second one {first['second']:.1f} s (maze).\n"
+        f"{sum(row['lower_violated'] for row in ours)} distances are below a lower bound, "
+        f"{sum(row['upper_violated'] for row in ours)} above an upper bound. The first call in a process takes "
+        f"{first['first']:.1f} s, a second call {first['second']:.1f} s (maze).\n"
     )
 
 
@@ -234,24 +238,27 @@ def solve_bodies(results: dict[str, Any]) -> str:
     """The same of the rectangle and the arm, beside their grids."""
     shares = {"mean": "mean difference", "largest": "largest", "gap": "upper - lower", "with_upper": "upper bound"}
     parts = [
-        f"Shares of the mean cost-to-go of what is judged: ours at {results['points']:,} random free configurations "
-        "with a way, roadmaps at their samples. The rectangle's grid has 48 directions in the plane: its ways are up "
-        "to 0.75 % too long in between; grids test configurations and motions as all others do."
+        f"Errors and gaps are shares of the mean cost-to-go. Ours are measured at {results['points']:,} random free "
+        "configurations with a path to the goal, roadmaps at their samples. The rectangle's grid has 48 "
+        "directions in "
+        "the plane, so its paths are up to 0.75 % too long. All methods use the same collision tests."
     ]
     for name, grid in results["grids"].items():
         sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))
         parts.append(
-            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; {half} differs by {grid['difference']:.2%}; "
-            f"{grid['reached']:.1%} of free configurations have a way."
+            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; a grid of {half} differs by "
+            f"{grid['difference']:.2%}; {grid['reached']:.1%} of free configurations have a path."
         )
         of_body = [row for row in results["rows"] if row["body"] == name]
         roadmaps = [row for row in of_body if row["method"] == "PRM*"]
         for row in (row for row in of_body if row["method"] != "PRM*"):
             tests, is_more = _tests_at_equal_error(roadmaps, row["mean"])
             parts.append(
-                f"PRM* as near to the grid as {row['cells']:,} cells: {'> ' if is_more else ''}{tests:,.0f} tests of "
-                f"configurations and motions, ours {row['tests']['boxes']:,} of boxes and "
-                f"{row['tests']['configurations'] + row['tests']['motions']:,} of those."
+                f"For the error of our {row['cells']:,} cells, PRM* needs "
+                f"{'> ' if is_more else ''}{tests:,.0f} tests "
+                f"of configurations and motions; ours needs "
+                f"{row['tests']['configurations'] + row['tests']['motions']:,}, and {row['tests']['boxes']:,} "
+                "of boxes."
             )
     return _solved("body", results["rows"], **shares) + f"\n{' '.join(parts)}\n"
 
@@ -277,9 +284,10 @@ def solve_speed(results: dict[str, Any]) -> str:
         *(("grid: s", "{marching_seconds:.1f}"), ("grid: own error", "{marching_difference:.3%}")),
     )
     return table + (
-        f"\nShares of the mean travel time, at {results['points']:,} points; truth: fast marching on {side:,} x "
-        f"{side:,} cells, its own error the mean difference to {side // 2:,} x {side // 2:,}. What is proven is of "
-        "the exact times, not of the grid's.\n"
+        f"\nErrors and gaps are shares of the mean travel time at {results['points']:,} points. The reference "
+        "is fast "
+        f"marching on {side:,} x {side:,} cells; its own error is the mean difference to {side // 2:,} x "
+        f"{side // 2:,} cells. Our bounds are proven for the exact times, not for the grid's.\n"
     )
 
 
@@ -293,9 +301,10 @@ def solve_cars(results: dict[str, Any]) -> str:
         words=2,
     )
     return table + (
-        f"\nErrors in turning radii, of 50 x 50 of them and all headings, over {results['poses']:,} random poses. "
-        "Table: float32 at cells of an eighth of a turning radius and 5 degrees, half of the window; planners take "
-        "the nearest cell. PLRs are compiled, in float32; closed forms and tables are NumPy's, in float64.\n"
+        f"\nErrors are in turning radii, over {results['poses']:,} random poses in a window of 50 x 50 turning radii "
+        "and all headings. The table stores float32 numbers for half of the window, with cells of an eighth of a "
+        "turning radius and 5 degrees; planners read the nearest cell. PLRs are compiled, in float32; closed forms "
+        "and tables run in NumPy, in float64.\n"
     )
 
 
@@ -308,8 +317,8 @@ def solve_nodes(results: dict[str, Any]) -> str:
         runs = [spread(row["nodes"], ",.0f"), spread(row["seconds"], ".3f"), spread(row["cost"], ".3f")]
         table.append([row["heuristic"], *made, *runs])
     return markdown(table, numbers=6) + (
-        f"\n`bl_plan` of the tangle, best-first search alone; medians, and in brackets the largest, of "
-        f"{results['starts']} starts. SE(2): {results['max_leaves']:,} cells a rectangle.\n"
+        f"\nOnly the best-first search of `bl_plan` runs, in the tangle. Medians, and in brackets the largest, of "
+        f"{results['starts']} starts. SE(2) heuristics have {results['max_leaves']:,} cells a rectangle.\n"
     )
 
 
@@ -336,11 +345,12 @@ def summaries(results: dict[str, Any]) -> str:
         words=3,
     )
     return table + (
-        f"\nAt most so many bytes: {limits}. Errors over the mean distance of the same {pairs:,} random free pairs; "
-        f"below and above: pairs whose answer is wrong by more than {TOLERANCE:.0e} of it. ns a pair: warm, all "
-        f"in one call; *: not compiled as a whole, and judged by the first {slow:,} pairs. s: from workspace to "
-        "file, of all settings that were tried. "
-        "Published: relative errors of the 160 lengths of the arena.\n"
+        f"\nLimits of bytes: {limits}. Errors are shares of the mean distance of the same {pairs:,} random "
+        "free pairs. "
+        f"Below and above: pairs whose answer is too small or too large by more than {TOLERANCE:.0e} of that mean. "
+        f"ns a pair: warm, all pairs in one call; *: not compiled as a whole, measured on the first {slow:,} pairs. "
+        "s: from workspace to file, for all settings that were tried. "
+        "Published: relative errors of the 160 published lengths of the arena.\n"
     )
 
 
@@ -357,8 +367,8 @@ def families(results: dict[str, Any]) -> str:
         *(("alone", "{alone[mean]:.2g}"), ("largest", "{family[max]:.2g}"), ("alone", "{alone[max]:.2g}")),
     )
     return table + (
-        f"\n{stack['points']:,} pairs of {stack['plrs']:,} PLRs {1e3 * stack['stack']:.1f} ms, points of one "
-        f"{1e3 * stack['one']:.1f} ms: ratio {stack['ratio']:.1f}.\n"
+        f"\nA stack of {stack['plrs']:,} PLRs answers {stack['points']:,} pairs of a goal's index and a point in "
+        f"{1e3 * stack['stack']:.1f} ms; one PLR answers as many points in {1e3 * stack['one']:.1f} ms.\n"
     )
 
 
@@ -369,7 +379,7 @@ def pair_bounds(results: dict[str, Any]) -> str:
         *(("map", "{map}"), ("bytes", "{bytes:,}"), ("MB in memory", "{megabytes:.2g}")),
         *(("s to build", "{build_seconds:.2g}"), ("pairs", "{pairs:,}"), ("bounds violated", "{violations:,}")),
         *(("mean error", "{error:.2g}"), ("largest", "{largest:.2g}"), ("mean gap below", "{gap:.2g}")),
-        *(("above", "{gap_above:.2g}"), ("told above", "{told:.3%}"), ("ns a pair", "{nanoseconds:,.0f}")),
+        *(("above", "{gap_above:.2g}"), ("has an upper bound", "{told:.3%}"), ("ns a pair", "{nanoseconds:,.0f}")),
         ("ns of bounds", "{nanoseconds_of_bounds:,.0f}"),
     )
 
@@ -387,10 +397,10 @@ def fleets(results: dict[str, Any]) -> str:
             }
             for row in results["rows"]
         ),
-        *(("map", "{map}"), ("steps to", "{connectivity}"), ("cells", "{cells:,}"), ("corners", "{corners:,}")),
-        *(("s to build", "{build_cpu_seconds:.2g}"), ("GB then", "{peak_gigabytes_of_process:.2g}")),
+        *(("map", "{map}"), ("neighbors", "{connectivity}"), ("cells", "{cells:,}"), ("corners", "{corners:,}")),
+        *(("s to build", "{build_cpu_seconds:.2g}"), ("peak GB", "{peak_gigabytes_of_process:.2g}")),
         *(("bytes of the file", "{file_bytes:,}"), ("MB in memory", "{megabytes:.3g}")),
-        *(("tables of 10,000 goals, times ours", "{tables_over_ours:,.0f}"), ("pairs", "{pairs:,}")),
+        *(("bytes of 10,000 tables / ours", "{tables_over_ours:,.0f}"), ("pairs", "{pairs:,}")),
         *(("wrong", "{wrong:,}"), ("ns a pair", "{cpu_nanoseconds:,.0f}"), ("in C", "{c_nanoseconds:,.0f}")),
         *(("ms of 10,000 windows", "{window_ms:,.0f}"), ("by two cores", "{two_core_ms:,.0f}")),
     )

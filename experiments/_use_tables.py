@@ -55,12 +55,12 @@ def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
     none = results["teams_without_heuristic"]
     return markdown(rows, numbers=len(rows[0]) - 1) + (
         f"\nMedians, and in brackets the worst, of {len(results['seeds'])} perturbed starts and goals; "
-        f"{sum(map(num_solved, lattice))} of {sum(len(row['seed']) for row in lattice)} were solved. PLRs "
-        f"of {results['plr_bytes']:,} bytes a robot, built before the clock starts; under heuristics "
-        f"{results['starts_under_heuristics']} of the starts. Without one teams get {none['seconds']:g} s and "
-        f"{none['starts']} of the starts. Best of OMPL: seconds to a path that costs no "
-        f"more than ours, medians over {len(race['seeds'])} of the starts; >: mostly none within the limit. "
-        "Bound: the sum of the robots' exact distances, each alone, without turns.\n"
+        f"{sum(map(num_solved, lattice))} of {sum(len(row['seed']) for row in lattice)} were solved. Searches with a "
+        f"heuristic run from {results['starts_under_heuristics']} of the starts. Each robot's PLR has "
+        f"{results['plr_bytes']:,} bytes and is built before the clock starts. Searches of teams without a heuristic "
+        f"run for {none['seconds']:g} s from {none['starts']} of the starts. Best of OMPL: seconds to a path that "
+        f"costs no more than ours, medians over {len(race['seeds'])} of the starts; >: most trials found none within "
+        "the limit. Bound: the sum of the exact distances of the robots, each alone, without turns.\n"
     )
 
 
@@ -83,9 +83,10 @@ def race(results: dict[str, Any]) -> str:
         rows.append([total["scene"], *(text for three in cells for text in three)])
     limit = results["limit"]
     return markdown(rows, numbers=9) + (
-        f"\nMedians over {len(results['seeds'])} starts, one trial a planner, limits of {limit['least']:g} to "
-        f"{limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. >: mostly none within the "
-        "limit, and the ratio is that of the limit. Same cost: ours to the end of the call.\n"
+        f"\nMedians over {len(results['seeds'])} starts, with one trial for each planner. The limit is "
+        f"{limit['least']:g} to {limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. "
+        ">: most trials found no path within the limit, and the ratio uses the limit. Same cost: our seconds run to "
+        "the end of the call.\n"
     )
 
 
@@ -106,8 +107,8 @@ def teams(results: dict[str, Any]) -> str:
                 cells.append(or_dash(row[key], form) + worst)
             rows.append([name, *cells])
     return markdown(rows, numbers=6) + (
-        "\nMedians where there are several teams, and in brackets the largest; no path: calls that found none. "
-        "Bound: the sum of the robots' exact distances, each alone; of den520d those of points.\n"
+        "\nMedians of several teams, and in brackets the largest. No path: calls that found no path. Bound: the sum "
+        "of the exact distances of the robots, each alone; in den520d, the distances of points.\n"
     )
 
 
@@ -126,8 +127,10 @@ def descent(results: dict[str, Any]) -> str:
         for each in results["maps"]
     )
     return table + (
-        f"\nFrom {results['starts']:,} random starts, fields of {_SHOWN:,} bytes. Lengths: median, in brackets the "
-        f"largest. With a field of zeros, starts that reach the goal, and the largest length: {blind}.\n"
+        f"\n{results['starts']:,} random starts; fields of {_SHOWN:,} bytes. Lengths are medians, and in "
+        "brackets the "
+        "largest. For comparison, a field of zeros: share of starts that reach the goal, and largest length: "
+        f"{blind}.\n"
     )
 
 
@@ -139,7 +142,7 @@ def trajectory(results: dict[str, Any]) -> str:
         *(("after / bound", "{cost_over_bound[after]:.4f}"), ("BL s", "{seconds_plan:.2f}")),
         ("descent s", "{seconds:.1f}"),
     )
-    return f"{table}\nBound: the sum of the robots' exact distances, each alone. Descent with its compilation.\n"
+    return f"{table}\nBound: the sum of the single robots' exact distances. Descent includes compilation.\n"
 
 
 def placement(results: dict[str, Any]) -> str:
@@ -156,7 +159,8 @@ def placement(results: dict[str, Any]) -> str:
             *(("straight lines", "{more_straight:+.2%}"), ("s", "{seconds:.2g}")),
             words=3,
         )
-        + "\nExact costs, and how much more the rivals cost: demand points after exchanges, straight lines.\n"
+        + "\nExact costs. Best points: how much more the best demand points cost, after exchanges. Straight lines: how "
+        "much more the optimum for straight-line distances costs.\n"
     )
 
 
@@ -183,8 +187,9 @@ def readers(results: dict[str, Any]) -> str:
     )
     largest = max(results["query"]["rows"], key=lambda row: row["rows"])
     return table + (
-        f"\nBytes; code at `-Os` on x86-64. Equal bits: of {results['readers']['points']:,} answers, those of C, "
-        f"NumPy and `plr(x)` that are the same. `plr-jax query` answers {largest['rows']:,} rows of text in "
+        f"\nSizes are in bytes; code is compiled with `-Os` for x86-64. Equal bits: share of "
+        f"{results['readers']['points']:,} answers that are equal in C, NumPy and `plr(x)`. "
+        f"`plr-jax query` answers {largest['rows']:,} rows of text in "
         f"{largest['seconds']:.1f} s and {largest['megabytes']:.0f} MB.\n"
     )
 
@@ -197,7 +202,7 @@ def modules(results: dict[str, Any]) -> str:
         ("ns", "{nanoseconds:.0f}"),
     )
     points = f"{results['bits']['points']:,}"
-    return f"{table}\nBytes. Different: of {points} answers each, those that differ from NumPy's by a bit; in Node.\n"
+    return f"{table}\nSizes are in bytes. Different: answers of {points} in Node that differ from NumPy's answers.\n"
 
 
 def pages(results: dict[str, Any]) -> str:
@@ -211,9 +216,11 @@ def pages(results: dict[str, Any]) -> str:
         ("violations of axe-core", "{found}"),
     )
     return table + (
-        "\nBy the time of a processor that the page's thread takes in Chromium; of pairs, drawn for another goal. "
-        f"Of {hostile['files']:,} damaged files dropped on a page {hostile['refused']:,} were refused in words, "
-        f"{hostile['shown']:,} shown, {hostile['failed']} neither; the slowest took {slowest:.2f} s.\n"
+        "\nCPU time of the page's thread in Chromium; pages of pairs are drawn again for another goal. "
+        f"Of {hostile['files']:,} damaged files that were dropped on a page, {hostile['refused']:,} were "
+        "refused with "
+        f"a message, {hostile['shown']:,} were drawn, and {hostile['failed']} did neither; the slowest took "
+        f"{slowest:.2f} s.\n"
     )
 
 
@@ -241,16 +248,18 @@ def scale(results: dict[str, Any]) -> str:
     def resumed(kills: list[dict[str, Any]]) -> str:
         shares = sorted(row["share"] for row in kills if row["killed"])
         return (
-            f"processes that are killed at random moments, {len(shares)} of {len(kills)} before their end, with "
-            f"{', '.join(f'{share:.0%}' for share in shares)} "
-            f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
+            f"{len(kills)} processes that are killed at random moments. {len(shares)} were killed before their end, "
+            f"when {min(shares):.0%} to {max(shares):.0%} of the checkpoint was written; "
+            f"{sum(row['same'] for row in kills)} were resumed and wrote the same file.\n"
         )
 
     goals = results["goals"]
     cones, planes = (
         f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
     )
-    built = f"{cones} of cones, or of planes where one is killed. Then {planes} of planes"
+    built = (
+        f"Workers build {cones} of cones, or of planes if a worker is killed. A second test builds {planes} of planes"
+    )
     return table(goals["workers"]) + f"\n{built}, by {resumed(goals['kills'])}"
 
 
@@ -268,7 +277,8 @@ def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
         rows.append(cells + [f"{rates[kind, doing]:,.0f}" for doing in ("acting", "learning")])
     detours = learning["detours"]
     return markdown(rows, numbers=5) + (
-        f"\nMeans of {len(runs)} seeds after {learning['steps'][-1]:,} steps, on {learning['mazes']} fresh mazes, "
-        f"whose goals are {detours['around']:.1f} cells away, {detours['straight']:.1f} in a straight line: "
-        f"{detours['mean_ratio']:.2f} times as far in the mean.\n"
+        f"\nMeans of {len(runs)} seeds after {learning['steps'][-1]:,} steps, on {learning['mazes']} new "
+        "mazes. The mean "
+        f"distance to the goal is {detours['around']:.1f} cells, and {detours['straight']:.1f} cells in a straight "
+        f"line; the mean ratio is {detours['mean_ratio']:.2f}.\n"
     )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import _distance_tables as distances
+from experiments import _overview_table as winners
 from experiments import _use_tables as uses
 from experiments._runner import RESULTS, read
 
@@ -73,6 +74,7 @@ def require_valid(where: str, results: Any) -> None:
 TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "rivals": (distances.rivals, "benchmark.accuracy"),
     "planning": (uses.planning, "table2", "race"),
+    "overview": (*(winners.overview, "benchmark", "compare_summaries", "costs", "living", "grid_distance", "race"),),
     "table1": (distances.table1, "table1"),
     "accuracy": (distances.accuracy, "benchmark.accuracy"),
     "proofs": (distances.proofs, "proofs", "benchmark.oracle"),

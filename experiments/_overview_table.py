@@ -1,0 +1,121 @@
+"""The first table of experiments/README.md: each question, our answer, the best rival's answer, and who wins."""
+
+import math
+from operator import itemgetter
+from statistics import median
+from typing import Any
+
+from experiments._tables import markdown
+
+_MAP = "den312d"  # the map of single numbers: medium size, not made by us
+_BYTES = 6_144
+
+
+def overview(
+    benchmark: dict[str, Any],
+    summaries: dict[str, Any],
+    costs: dict[str, Any],
+    living: dict[str, Any],
+    jit: dict[str, Any],
+    race: dict[str, Any],
+) -> str:
+    """Return one row for each comparison with other tools, with a link to the section that has the details."""
+    errors = {row["contender"]: row["free"]["mean"] for row in benchmark["accuracy"]["maps"][_MAP] if _fits(row)}
+    cones = errors["PLR, cones"]
+    other, error = min(((name, each) for name, each in errors.items() if "PLR" not in name), key=itemgetter(1))
+    nanoseconds = {name: each["1000000"][0] for name, each in benchmark["query"]["plane"]["nanoseconds"].items()}
+    oracle = benchmark["oracle"]["maps"][_MAP]
+    rival = oracle["rivals"]["extremitypathfinder"]
+    prepare = oracle["seconds_workspace"] + oracle["seconds_prepare"]
+    query = min(oracle["microseconds_a_point"].values())
+    pairs, polygon, network = (
+        summaries[f"{_MAP}_{name}"]["rows"][-1] for name in ("ours", "polygon", "landmark_plrs")
+    )
+    estimates = costs["estimates"]["rows"]
+    ratios = [row["error"] / row["its error"] for row in estimates]
+    slower = median(row["seconds"] / row["its seconds"] for row in estimates)
+    changes = {row["by"]: row for row in living["rivals"]["rows"]}
+    levels = {row["what"]: row["levels_a_cpu_second"] for row in jit["11 x 11"]["rows"]}
+    races = race["summary"]
+    first = sum(total["first_path"]["best"] >= total["first_path"]["ours"] for total in races)
+    same = median(total["same_cost"]["ratio"] for total in races)
+    rows = [
+        ["question", "ours", "best of the others", "result", "details"],
+        [
+            f"mean error of a file of {_BYTES:,} bytes, {_MAP}",
+            f"cones {cones:.2g}",
+            f"{other} {error:.2g}",
+            f"**ours**, {_two_digits(error / cones)} times smaller",
+            "[errors](#errors)",
+        ],
+        [
+            "time a point, batch of 1,000,000, equal bytes",
+            f"planes {nanoseconds['PLR']:.2g} ns",
+            f"`map_coordinates` {nanoseconds['map_coordinates']:.2g} ns",
+            f"**ours**, {nanoseconds['map_coordinates'] / nanoseconds['PLR']:.1f} times faster",
+            "[time](#time)",
+        ],
+        [
+            f"exact distances, {_MAP}: preparation; one point",
+            f"{prepare:.2g} s; {query:.2g} us in a batch",
+            f"extremitypathfinder {rival['prepare']:.2g} s; {1e6 * rival['query']:,.0f} us",
+            f"**ours**, {rival['prepare'] / prepare:.0f} and {_two_digits(1e6 * rival['query'] / query)} "
+            "times faster",
+            "[time](#time)",
+        ],
+        [
+            f"distance of any two points, {_MAP}",
+            f"{pairs['bytes']:,} bytes, {pairs['mean']:.1g}, {pairs['nanoseconds']:,.0f} ns",
+            f"polygons and exact search {polygon['bytes']:,} bytes, exact, {polygon['nanoseconds']:,.0f} ns; "
+            f"best approximation {network['mean']:.1g}",
+            f"**ours** in time, {polygon['nanoseconds'] / pairs['nanoseconds']:.0f} times; polygons in bytes",
+            "[all pairs](#all-pairs)",
+        ],
+        [
+            f"costs that vary, {len(ratios)} fields: mean error, equal numbers of leaves and nodes",
+            "1",
+            f"scikit-fmm {1 / max(ratios):.1f} to {1 / min(ratios):.0f}",
+            f"**ours** in error; scikit-fmm in time, {_two_digits(slower)} times",
+            "[without an oracle](#without-an-oracle)",
+        ],
+        [
+            "distances after a map change, den520d",
+            f"any point, proven: {changes['updated']['ms']:.0f} ms",
+            f"LPA*, one path: {changes['LPA*']['ms']:.0f} ms; "
+            f"scikit-fmm, all cells: {changes['scikit-fmm']['ms']:.1f} ms",
+            "LPA* for one path, scikit-fmm for cells, **ours** for any point",
+            "[without an oracle](#without-an-oracle)",
+        ],
+        [
+            "4-connected distances inside `jit`, mazes of 11 x 11, levels a CPU second",
+            f"all cells {levels['moves=4, all cells']:,.0f}",
+            f"JaxNav, one pair {levels['JaxNav dikstra_path, one pair']:,.0f}",
+            f"**ours**, {levels['moves=4, all cells'] / levels['JaxNav dikstra_path, one pair']:.0f} times faster",
+            "[inside jit](#inside-jit)",
+        ],
+        [
+            f"first path of a team, {len(races)} scenes we tuned on",
+            f"sooner in {first}",
+            f"OMPL sooner in {len(races) - first}",
+            "**ours** here; OMPL in other tight scenes of two to four discs",
+            "[planning](#planning)",
+        ],
+        [
+            "time to a path that costs no more than ours",
+            "1",
+            f"OMPL, median {_two_digits(same)} or more",
+            "**ours**",
+            "[planning](#planning)",
+        ],
+    ]
+    return markdown(rows, numbers=0)
+
+
+def _fits(row: dict[str, Any]) -> bool:
+    return row["budget"] == _BYTES and row["free"] is not None
+
+
+def _two_digits(value: float) -> str:
+    """Return the value rounded down to two significant digits, so that a claim stays true."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / scale) * scale:,.6g}"
