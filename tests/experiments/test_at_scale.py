@@ -1,4 +1,4 @@
-"""What the section "At scale" says: its files and commands, with a worker that is killed half-way."""
+"""The section "Many machines" of experiments/README.md: its files and commands, with a worker that is killed half-way."""
 
 import re
 import runpy
@@ -19,7 +19,7 @@ import plr_jax
 
 pytestmark = pytest.mark.full
 
-README = (Path(__file__).parents[2] / "experiments" / "README.md").read_text().split("\n## At scale\n")[1]
+README = (Path(__file__).parents[2] / "experiments" / "README.md").read_text().split("\n## Many machines\n")[1]
 FLEET, LOOP = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 COMMANDS = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)[0].splitlines()
 WORKSPACE = plr_jax.scenes.maze().workspace
