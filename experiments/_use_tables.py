@@ -159,8 +159,8 @@ def placement(results: dict[str, Any]) -> str:
             *(("straight lines", "{more_straight:+.2%}"), ("s", "{seconds:.2g}")),
             words=3,
         )
-        + "\nCosts are exact. Best points: how much more the best demand points cost, after exchanges. Straight lines: "
-        "how much more the optimum for straight-line distances costs.\n"
+        + "\nCosts are exact. Best points: how much more the best demand points cost, after exchanges. "
+        "Straight lines: how much more the optimum for straight-line distances costs.\n"
     )
 
 

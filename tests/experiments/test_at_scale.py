@@ -1,4 +1,4 @@
-"""The section "Many machines" of experiments/README.md: its files and commands, with a worker that is killed half-way."""
+"""The section "Many machines" of experiments/README.md: its files and commands; a worker is killed half-way."""
 
 import re
 import runpy
