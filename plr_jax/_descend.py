@@ -174,15 +174,15 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     lost = np.flatnonzero(~np.isfinite(length))
     if lost.size:
         everything = _edges(workspace, places, np.zeros(len(points)), lost, len(points))
-        edges = _distinct(np.concatenate([edges, everything]))
+        edges = _unique_pairs(np.concatenate([edges, everything]))
         length, onward = shortest(edges)
     # 2. Join places to the place after the next where they see it, until no new edge comes up.
     tried = np.full(len(points), -1)
     while True:
         after_next = onward[onward]
         place = np.flatnonzero((onward > 0) & (after_next != tried))
-        pairs, tried = _distinct(np.stack([place, after_next[place]], axis=1)), after_next
-        joined = _distinct(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
+        pairs, tried = _unique_pairs(np.stack([place, after_next[place]], axis=1)), after_next
+        joined = _unique_pairs(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
         if len(joined) == len(edges):
             break
         edges = joined
@@ -232,9 +232,9 @@ def _edges(
 
     ways, _ = first_visible_in_parts(lookahead, len(corners), len(places.points), sees, count)
     row, column = np.nonzero(ways >= 0)
-    return _distinct(np.stack([corners[row], ways[row, column]], axis=1))
+    return _unique_pairs(np.stack([corners[row], ways[row, column]], axis=1))
 
 
-def _distinct(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
+def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
     """Each pair once, whichever way round it is given."""
     return np.unique(np.sort(pairs, axis=1), axis=0)

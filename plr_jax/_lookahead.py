@@ -176,9 +176,9 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
         raise ValueError(f"The goal {goal.tolist()} is not a free configuration of the space.")
     is_free = costs.space.is_free(starts)
     nodes, onward, nodes_of_starts = _Lookahead(field, costs, goal).follow(starts[is_free])
-    onward = _pulled_straight(costs, nodes, onward)
-    nodes = _shifted(costs, nodes, onward, nodes_of_starts)
-    onward = _pulled_straight(costs, nodes, onward)
+    onward = _skip_nodes(costs, nodes, onward)
+    nodes = _shift_nodes(costs, nodes, onward, nodes_of_starts)
+    onward = _skip_nodes(costs, nodes, onward)
     first = np.full(len(starts), -1)
     first[is_free] = onward[nodes_of_starts]
     vertices, counts = chains_of(starts, nodes, onward, first)
@@ -205,7 +205,7 @@ class _Lookahead:
         side = _CELL * float((motion.scale * self.domain.width).max())
         self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / side))
         self.cell_steps = np.concatenate([side * count * directions for count in _CELL_STEPS])
-        self.dents: list[tuple[Float[np.ndarray, dim], Points | None]] = []
+        self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
         """The field at configurations, 0 where it is negative and ``inf`` outside the domain."""
@@ -231,7 +231,7 @@ class _Lookahead:
             # Whoever is stuck leaves the dent, if there is a way out, by a chain of nodes to its last configuration.
             detours = {}
             for row in np.flatnonzero(status < 0).tolist():
-                chain = self._way_out(x[row], value[row] - _FALL * self.shortest)
+                chain = self._escape(x[row], value[row] - _FALL * self.shortest)
                 if chain is not None:
                     y[row], status[row] = chain[-1], 0
                     if len(chain) > 1:
@@ -283,22 +283,22 @@ class _Lookahead:
         way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
-    def _way_out(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+    def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
         """Configurations along free motions out of a dent of the field, the last of a value below ``below``.
 
         Dents in which paths were stuck before, and which are in sight, are used again. None if the search fails.
         """
-        for stuck, chain in self.dents:
+        for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
                     return None
                 if self.values(chain[-1:])[0] < below:
                     return np.concatenate([stuck[None], chain])
-        chain = self._filled(x, below)
-        self.dents.append((x, chain))
+        chain = self._search_below(x, below)
+        self.minima.append((x, chain))
         return chain
 
-    def _filled(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+    def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
         """Best-first search by the values of the field, one configuration a cell, for one below a value.
 
         References:
@@ -344,7 +344,7 @@ _GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
 _WIDEST_SHIFT, _NUM_SHIFTS = 1 / 32, 8  # of nodes, as a share of the domain; shifts, each half the one before
 
 
-def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
+def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
     """The next nodes of paths after nodes are left out wherever the straight way past them is free and cheaper."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
@@ -364,7 +364,7 @@ def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         onward[which], leg[which] = ahead[which], straight
 
 
-def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
+def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
     """Nodes moved to where the legs from the node before and to the node after cost least; first and last ones stay.
 
     Only nodes of paths that reach the goal, node 0, are moved. No two of them have the same next node but the goal.
@@ -382,11 +382,11 @@ def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarra
         changes = shift * unit_motions(motion)
         for parity in (0, 1, 0, 1):  # of two neighbors one stays
             which = np.flatnonzero((before >= 0) & (number % 2 == parity))
-            nodes[which] = _best_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
+            nodes[which] = _cheapest_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
     return nodes
 
 
-def _best_places(
+def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
     """The cheapest free place between each two nodes: the configuration as it is, or after one of the changes."""

@@ -70,7 +70,7 @@ class Problem:
         set_fields(self, **{name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
         for name in given:
             _require_free(name, getattr(self, name), robots, workspace)
-            _require_apart(name, getattr(self, name), robots, workspace.tolerance)
+            _require_no_overlap(name, getattr(self, name), robots, workspace.tolerance)
         _require_connected(self)
 
     @property
@@ -202,7 +202,7 @@ def _require_free(
             )
 
 
-def _require_apart(
+def _require_no_overlap(
     name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
 ) -> None:
     cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])

@@ -59,7 +59,7 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
     The path must begin at the starts and end at the goals exactly (but for headings of robots that have none), be
     finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
-    straight, at constant rates, turning by the shorter way, counterclockwise by half a turn. Touching is allowed.
+    straight, at constant max_rates, turning by the shorter way, counterclockwise by half a turn. Touching is allowed.
 
     Args:
         problem: What the path should solve.
@@ -88,12 +88,13 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         first = min(collisions, key=lambda encounter: encounter.first_moment)
         return _collision_report(problem, first, cost)
     clearance = closest.findings.clearance
-    fault = _squeeze(problem, path) or _wrong_end(problem, path)
+    fault = _find_squeeze(problem, path) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.findings.motion}."
+    step = closest.findings.motion
+    message = f"Valid: clearance {clearance:.4g}, {_describe_pair(closest)} in the motion from step {step}."
     return ValidationReport(True, cost, clearance, message, closest.who)
 
 
@@ -151,14 +152,14 @@ class _Encounter:
         return distance - self.reach
 
     @cached_property
-    def rates(self) -> Float[np.ndarray, "motions"]:
+    def max_rates(self) -> Float[np.ndarray, "motions"]:
         """How much the clearance can change in each motion."""
         velocity = np.diff(self.path[:, :2], axis=0)
-        rates = _rim_speeds(self.robot, self.path)
+        max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
             velocity = velocity - np.diff(self.other_path[:, :2], axis=0)
-            rates = rates + _rim_speeds(self.other, self.other_path)
-        return rates + np.linalg.norm(velocity, axis=1)
+            max_rates = max_rates + _rim_speeds(self.other, self.other_path)
+        return max_rates + np.linalg.norm(velocity, axis=1)
 
     @cached_property
     def turns(self) -> Any:
@@ -176,7 +177,7 @@ class _Encounter:
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
-            bound = middle - self.rates[motion] * size / 2
+            bound = middle - self.max_rates[motion] * size / 2
             # Collided motions are done with; so are pieces that are free and no closer than another.
             unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
@@ -196,7 +197,7 @@ class _Encounter:
         while pieces:
             begin, size = pieces.pop()
             middle = float(self.clearances(np.array([motion + begin + size / 2]))[0])
-            if middle - self.rates[motion] * size / 2 >= -self.tolerance:
+            if middle - self.max_rates[motion] * size / 2 >= -self.tolerance:
                 continue
             if size <= _MOMENT and middle < -self.tolerance:
                 return motion + begin + size / 2
@@ -303,7 +304,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
     """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
@@ -342,7 +343,11 @@ def _changes_of_side(
     first = int(outside[outside <= motion].max(initial=0))
     last = int(outside[outside > motion].min(initial=len(way) - 1))
     stay = np.array(
-        [_entry(way[first], way[first + 1], radius), *way[first + 1 : last], _entry(way[last], way[last - 1], radius)]
+        [
+            _entry_point(way[first], way[first + 1], radius),
+            *way[first + 1 : last],
+            _entry_point(way[last], way[last - 1], radius),
+        ]
     )
     at_contact = np.linalg.norm(stay, axis=1) <= tolerance
     may_be = [_is_in_sector(boundary, sector, stay, tolerance) | at_contact for sector in sectors]
@@ -362,7 +367,7 @@ def _is_in_sector(
     return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
 
 
-def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
+def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
     """Where a motion enters a disc about the origin, or begins if that is within."""
     if begin @ begin <= radius**2:
         return begin
@@ -371,7 +376,7 @@ def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: f
     return begin - (along + np.sqrt(along**2 - squared * (begin @ begin - radius**2))) / squared * change
 
 
-def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
     """The robot that does not begin or end where it should, when, and a message."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
@@ -388,12 +393,12 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     depth = collision.depth
     what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
-        what = f"Robot {collision.who[0]} {_obstacle(problem.workspace, _bodies(collision.robot, q)[0])}"
+        what = f"Robot {collision.who[0]} {_describe_violation(problem.workspace, _bodies(collision.robot, q)[0])}"
     message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
     return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))
 
 
-def _obstacle(workspace: Workspace, body: Any) -> str:
+def _describe_violation(workspace: Workspace, body: Any) -> str:
     """What a body runs into."""
     obstacles = np.array(workspace.obstacles, dtype=object)
     # An obstacle that is gone, an empty one, is at no distance.
@@ -403,7 +408,7 @@ def _obstacle(workspace: Workspace, body: Any) -> str:
     return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
 
 
-def _name(encounter: _Encounter) -> str:
+def _describe_pair(encounter: _Encounter) -> str:
     if encounter.other_path is None:
         return f"of robot {encounter.who[0]} to an obstacle or the bounds"
     return f"of robots {encounter.who[0]} and {encounter.who[1]}"

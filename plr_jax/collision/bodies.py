@@ -48,7 +48,7 @@ class MovingBodies(NamedTuple):
         """The bodies of some columns, by index, mask or slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
-    def sized(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
+    def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
         """The same motions of bodies that all have one size."""
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
@@ -59,7 +59,7 @@ class MovingBodies(NamedTuple):
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 
 
-def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
+def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
     """A robot's motions, their size left open; one without a heading keeps 0."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
@@ -71,10 +71,12 @@ def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "
 # What a kernel says: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not.
 Booleans: TypeAlias = Bool[np.ndarray, "n"]
 Verdict: TypeAlias = tuple[Booleans, Booleans]
-Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
+SeparationKernel: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
 
 
-def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf) -> Booleans:
+def bisect(
+    kernel: SeparationKernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
+) -> Booleans:
     """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
 
     Below 0, ``reach`` is a depth to which they may overlap. A few are judged at a time, their halves before the
@@ -95,7 +97,7 @@ def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadlin
                 waiting.append((a.take(part), b.take(part), owner[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
-        clear, hit = judge(a, b, reach)
+        clear, hit = kernel(a, b, reach)
         apart[owner[hit]] = False
         unsure = ~clear & apart[owner]
         if bisections == _MAX_BISECTIONS:
@@ -128,7 +130,7 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
 
 
-# The kernels that judge whether bodies are apart: boxes, boxes and points, and convex bodies of any kind.
+# The kernels that kernel whether bodies are apart: boxes, boxes and points, and convex bodies of any kind.
 
 
 # The kernel for convex bodies of any number of vertices, whose distance is that of their Minkowski difference.
@@ -239,7 +241,7 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
 
 
-def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Two boxes and a depth of overlap: axes along the sides of both, and across their relative motion."""
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
@@ -259,7 +261,7 @@ def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     return clear, (separation < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
-def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """A box and a point, seen from the box: that is at rest, and the point's curve is near a segment."""
     ends, distances = [], []
     for end in (0.0, 1.0):

@@ -18,10 +18,10 @@ from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import (
     Column,
     bisect,
+    box_point_separation,
+    box_separation,
     convex_separation,
-    judge_box_and_point,
-    judge_boxes,
-    moving,
+    moving_bodies,
 )
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
@@ -67,7 +67,7 @@ class TeamTrajectory:
         x, y, radius = circles_along(q[:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
-    def near(
+    def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
@@ -176,15 +176,19 @@ def motions_apart(
     reach = robot_a.rounding + robot_b.rounding - tolerance
     # The fastest kernel that answers for two robots, and their sizes as it takes them.
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
-    judge, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
+    kernel, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
-        judge, size_a, size_b = judge_boxes if half_a.any() and half_b.any() else judge_box_and_point, half_a, half_b
-    is_swapped = judge is judge_box_and_point and not size_a.any()  # the box is first
+        kernel, size_a, size_b = (
+            box_separation if half_a.any() and half_b.any() else box_point_separation,
+            half_a,
+            half_b,
+        )
+    is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
-        a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
-        apart[rows] = bisect(judge, *((b, a) if is_swapped else (a, b)), reach, deadline)
+        a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
+        apart[rows] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
     return apart
 
 
@@ -200,7 +204,7 @@ class JointMotionTest:
     deadline: float = math.inf
 
     @cached_property
-    def of_walls(self) -> tuple[MotionTest, ...]:
+    def wall_tests(self) -> tuple[MotionTest, ...]:
         """Each robot's own motion test."""
         return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
 
@@ -213,7 +217,7 @@ class JointMotionTest:
     def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
         """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
         free = np.ones(len(q0), dtype=bool)
-        for i, test in enumerate(self.of_walls):
+        for i, test in enumerate(self.wall_tests):
             free[free] = test(q0[free, i], q1[free, i], self.deadline)
         for i, j in combinations(range(len(self.robots)), 2):
             free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
@@ -224,10 +228,10 @@ class JointMotionTest:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
-        self, i: int, begin: Motions, end: Motions, traffic: TeamTrajectory, motion: Rows, other: Rows
+        self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
         """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
-        others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]
+        others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)
         result = np.empty(len(motion), dtype=bool)

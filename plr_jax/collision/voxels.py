@@ -79,11 +79,11 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
     passes = np.zeros(q0.shape[1], bool)
     for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
         some = slice(begin, begin + _MOTIONS_AT_ONCE)
-        passes[some] = _keeps_off(grid, q0[:, some], q1[:, some], radius)
+        passes[some] = _ball_keeps_clear(grid, q0[:, some], q1[:, some], radius)
     return passes
 
 
-def _keeps_off(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     """By halves: pieces whose boxes are near something, until they are short or their middle is too near."""
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion, share = np.flatnonzero(keeps_off), 1.0
@@ -217,7 +217,9 @@ class _Traversal:
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
             of = rows[doubtful]
-            crossed[:, doubtful] = _first(crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of])
+            crossed[:, doubtful] = _first_crossed(
+                crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of]
+            )
             around[doubtful] = self._free_around(
                 of, np.where(crossed[:, doubtful], step[:, doubtful], layers[:, doubtful])
             )
@@ -243,7 +245,7 @@ class _Traversal:
         return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face
 
 
-def _first(
+def _first_crossed(
     crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
 ) -> Bool[np.ndarray, "dim n"]:
     """Of faces that are crossed nearly at once those that are first, by arithmetic without rounding."""

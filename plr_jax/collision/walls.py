@@ -15,14 +15,22 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
-from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, convex_separation, judge_boxes, moving
+from plr_jax.collision.bodies import (
+    Booleans,
+    Column,
+    MovingBodies,
+    bisect,
+    box_separation,
+    convex_separation,
+    moving_bodies,
+)
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
 # At a time, between two looks at the clock: motions; pieces of them and edges near; cells of the grid.
 _CHUNK, _PAIRS, _CENTERS = 1 << 14, 1 << 17, 1 << 13
-_OF_POINT = 128  # edges that count for a point, which is tested against all
+_EDGES_PER_POINT = 128  # edges that count for a point, which is tested against all
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128
 _PURPOSE = "all motions were tested"
@@ -107,7 +115,7 @@ class MotionTest:
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
-        pieces, owner = _pieces(self.robot, q0, q1, self._longest)
+        pieces, owner = _cut_into_pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
         cell, away = self._locate(x, y)
@@ -138,7 +146,7 @@ class MotionTest:
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
         """Whether pieces of motions keep off the walls near their cells."""
-        work = np.full(len(cell), _OF_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
+        work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
             require_time(deadline, _PURPOSE)
@@ -175,18 +183,18 @@ class MotionTest:
         edges, tangent, rest = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
         reach, half, center = robot.rounding - tolerance, robot.half_sides, edges.mean(axis=1)
         if half is not None and reach <= 0:
-            judge, size, theta = judge_boxes, half, np.arctan2(tangent[:, 1], tangent[:, 0])
+            kernel, size, theta = box_separation, half, np.arctan2(tangent[:, 1], tangent[:, 0])
             of_edges = np.stack([length[doubtful] / 2, rest])
         else:
-            judge, size, theta = convex_separation, robot.core.T, rest
+            kernel, size, theta = convex_separation, robot.core.T, rest
             of_edges = (edges - center[:, None]).transpose(2, 1, 0)
         flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, rest, rest, rest)
-        keeps_off = bisect(judge, near.take(doubtful).sized(size), flat, reach, deadline)
+        keeps_off = bisect(kernel, near.take(doubtful).with_size(size), flat, reach, deadline)
         clear[owner[doubtful[~keeps_off]]] = False
         return clear
 
 
-class Indifferent(float):
+class IgnoredByCache(float):
     """A deadline that equals all others as a key of what is kept: when to give up makes no difference to that."""
 
     def __eq__(self, other: object) -> bool:
@@ -196,19 +204,19 @@ class Indifferent(float):
         return 0
 
 
-_kept = lru_cache(maxsize=16)(MotionTest)
+_cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
     """The motion test of a robot in a workspace, kept for the next call; ``TimeoutError`` as for the class."""
-    return _kept(workspace, robot, Indifferent(deadline))
+    return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
 
 
-def _pieces(
+def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
     """Motions cut into equal pieces no longer than ``longest``, and their motions if any was cut."""
-    whole = moving(robot, q0, q1)
+    whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():
         return whole, None

@@ -123,7 +123,7 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
         evaluate = first.stack(distance_fns)
     else:
-        evaluate = partial(_one_by_one, distance_fns)
+        evaluate = partial(_evaluate_each, distance_fns)
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
@@ -167,7 +167,7 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
     return np.maximum(numbers, 0.0)  # planes that fit a distance near the goal may dip below 0
 
 
-def _one_by_one(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
+def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
     """What each robot's distance function says, shown the leading coordinates that it wants."""
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):

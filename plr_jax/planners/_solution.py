@@ -178,7 +178,7 @@ class Solution:
             "times": None if self.times is None else self.times.tolist(),
             "path": None if self.path is None else self.path.tolist(),
         }
-        _solution_in(entry)  # or it could not be read back
+        _solution_from_json(entry)  # or it could not be read back
         data = (json.dumps(entry, allow_nan=False) + "\n").encode()
         if len(data) > _MOST_BYTES:
             had = f"this one would have {len(data):,}"
@@ -221,7 +221,7 @@ class Solution:
         """
         path = file_path(path)
         with errors_named(path):
-            return _solution_in(json_of(path, _MOST_BYTES))
+            return _solution_from_json(json_of(path, _MOST_BYTES))
 
     def __repr__(self) -> str:
         costs = f"cost {self.cost:.4g}, makespan {self.makespan:.4g}, lower bound {self.lower_bound:.4g}"
@@ -229,7 +229,7 @@ class Solution:
         return f"Solution({self.status.name}: {costs}, {effort})"
 
 
-def solution_of(
+def make_solution(
     problem: Problem,
     path: JointPath | None,
     lower_bound: float,
@@ -250,7 +250,7 @@ def straight_line_bound(problem: Problem) -> float:
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-def _solution_in(entry: Any) -> Solution:
+def _solution_from_json(entry: Any) -> Solution:
     """The solution that a document stands for; ``ValueError`` if it stands for none."""
     require_format(entry, _KIND, _VERSION, _KEYS)
     status = entry["status"]
@@ -275,11 +275,11 @@ def _solution_in(entry: Any) -> Solution:
         if times[0] != 0 or times[-1] != span:
             raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
     samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
-    stats = _stats_in(entry["stats"])
+    stats = _stats_from_json(entry["stats"])
     return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
 
 
-def _stats_in(entry: Any) -> Stats:
+def _stats_from_json(entry: Any) -> Stats:
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
@@ -360,7 +360,7 @@ class BLOptions:
             raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
 
 
-def require_task(problem: Problem, options: BLOptions) -> None:
+def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
     """``ValueError`` unless these are a problem and options."""
     require_problem(problem)
     if not isinstance(options, BLOptions):
@@ -393,7 +393,7 @@ class SearchBudget:
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
-class HeldMemory:
+class MemoryUse:
     """Bytes that something holds, and that count against a budget until they are released."""
 
     def __init__(self, budget: SearchBudget):

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
-from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, State
 
 _CHUNK = 1 << 15  # configurations of a robot whose estimates are asked for at a time, between two looks at the clock
@@ -47,7 +47,7 @@ class Successors(NamedTuple):
     primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int
     num_valid: int
-    whole: Bool[np.ndarray, "n"]
+    is_complete: Bool[np.ndarray, "n"]
 
 
 def best_successors(
@@ -116,9 +116,9 @@ class SuccessorList:
     cost: Float[np.ndarray, "m"]
     state: State
     width: int
-    whole: bool
+    is_complete: bool
     num_bytes: int
-    at: int = 0
+    next_index: int = 0
 
 
 class BestFirstSearch:
@@ -145,24 +145,24 @@ class BestFirstSearch:
     """
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
-        self.joint, self.budget, self.held = joint, budget, HeldMemory(budget)
-        self.scores, self.nearest = [], 0.0
+        self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
+        self.scores, self.least_estimate = [], 0.0
         for lattice, estimate in zip(joint.lattices, estimates, strict=True):
             require_time(budget.deadline, _PURPOSE)
             known = estimate < _INFINITE
             table = np.where(known, estimate, 2 * estimate[known].max(initial=0.0))
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
-            self.nearest += weight * table[lattice.start]
-        self.held.add(bytes_of_tables(joint))
-        self.most_products = 0  # bytes that the widest products took so far
+            self.least_estimate += weight * table[lattice.start]
+        self.memory_use.add(bytes_of_tables(joint))
+        self.max_product_bytes = 0  # bytes that the widest products took so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices], np.int32)
         self.states, self.costs, self.parents = [start], [0.0], [-1]
         self.claimed = {start.tobytes()}
-        self.frontier = [(float(self.nearest), 0, 0)]
+        self.frontier = [(float(self.least_estimate), 0, 0)]
         self.successors: dict[int, SuccessorList] = {}
-        self.wider: dict[int, int] = {}
-        self.pushed, self.size, self.num_expansions = 0, 1, 0
+        self.next_widths: dict[int, int] = {}
+        self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
         self.found = 0 if np.array_equal(start, self.goal) else None
         budget.num_nodes += 1
 
@@ -176,20 +176,22 @@ class BestFirstSearch:
             if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
-            batch = [heapq.heappop(self.frontier)[2] for _ in range(int(min(self.size, len(self.frontier), left)))]
-            nearest, before = self.nearest, self.num_expansions
+            batch = [
+                heapq.heappop(self.frontier)[2] for _ in range(int(min(self.batch_size, len(self.frontier), left)))
+            ]
+            nearest, before = self.least_estimate, self.num_expansions
             self._expand(batch)
             for node in batch:
                 self._add_child(node)
             if progress is not None:
                 progress.update(self.num_expansions - before)
-            self.size = 1 if self.nearest < nearest else min(2 * self.size, _BATCH)
+            self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
         if self.found is not None:
             return Status.SOLVED
         return None if self.frontier else Status.EXHAUSTED
 
     @property
-    def branch(self) -> State:
+    def solution_states(self) -> State:
         """States from the starts to the goals, once these are found."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
@@ -199,7 +201,7 @@ class BestFirstSearch:
         return np.array(states[::-1])
 
     @property
-    def state(self) -> State:
+    def node_states(self) -> State:
         """All nodes, in the order of their making."""
         return np.array(self.states)
 
@@ -208,7 +210,7 @@ class BestFirstSearch:
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
-                by_width.setdefault(self.wider.get(node, _WIDTH), []).append(node)
+                by_width.setdefault(self.next_widths.get(node, _WIDTH), []).append(node)
         most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
@@ -216,15 +218,15 @@ class BestFirstSearch:
                 some = of_width[begin : begin + size]
                 # Count the widest products so far as held: they may be as wide again.
                 num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
-                self.held.add(max(0, num_bytes - self.most_products))
-                self.most_products = max(self.most_products, num_bytes)
+                self.memory_use.add(max(0, num_bytes - self.max_product_bytes))
+                self.max_product_bytes = max(self.max_product_bytes, num_bytes)
                 # The best children of these nodes, of which the first are kept.
                 state = np.array([self.states[node] for node in some])
                 cost = np.array([self.costs[node] for node in some])
                 children = best_successors(self.joint, self.scores, state, width)
                 num_valid = np.isfinite(children.score).sum(axis=1)
                 num_kept = np.minimum(num_valid, max(width // _KEPT, 1))
-                whole = children.whole & (num_kept == num_valid)
+                whole = children.is_complete & (num_kept == num_valid)
                 row, column = ragged_indices(num_kept)
                 score = cost[row] + children.score[row, column]
                 state, move_cost = self.joint.move(state[row], children.primitive[row, column])
@@ -238,19 +240,19 @@ class BestFirstSearch:
                     self.successors[node] = SuccessorList(
                         score[own], cost[own], state[own], width, bool(whole[i]), num_bytes
                     )
-                    self.held.add(num_bytes)
+                    self.memory_use.add(num_bytes)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
 
     def _add_child(self, node: int) -> None:
         """Claim the cell of a node's next child, and return it to the frontier by the score of the one after."""
         successors, is_added = self.successors[node], False
-        for child in range(successors.at, len(successors.score)):
+        for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]
             if (cell := state.tobytes()) in self.claimed:
                 continue
             if is_added:
-                successors.at = child
+                successors.next_index = child
                 self._return(score, node)
                 return
             is_added, cost = True, float(successors.cost[child])
@@ -261,13 +263,13 @@ class BestFirstSearch:
             self.states.append(state)
             self.costs.append(cost)
             self.parents.append(node)
-            self.nearest = min(self.nearest, score - cost)
+            self.least_estimate = min(self.least_estimate, score - cost)
             self.budget.num_nodes += 1
-            self.held.add(_NODE_BYTES + 8 * len(state))
+            self.memory_use.add(_NODE_BYTES + 8 * len(state))
         del self.successors[node]
-        self.held.add(-successors.num_bytes)
-        if not successors.whole and successors.width < _WIDEST:
-            self.wider[node] = successors.width * _WIDER
+        self.memory_use.add(-successors.num_bytes)
+        if not successors.is_complete and successors.width < _WIDEST:
+            self.next_widths[node] = successors.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
             self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)
 

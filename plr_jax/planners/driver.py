@@ -17,21 +17,21 @@ from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,
     BLOptions,
-    HeldMemory,
     JointPath,
+    MemoryUse,
     SearchBudget,
     Solution,
     Stats,
     Status,
-    require_task,
-    solution_of,
+    make_solution,
+    require_problem_and_options,
     straight_line_bound,
 )
 from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
-from plr_jax.planners.sequential import sequential_path, side_by_side
+from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.robots.robot import Robot, between
 
@@ -111,25 +111,25 @@ def bl_plan(
         raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:
         require_heuristic(heuristic)
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     run = Run(problem, heuristic, options, time.perf_counter())
     try:
         try:
-            status = run.take_turns_to_go()
+            status = run.try_sequential_path()
             if status is None:
                 with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
                     status = run.search_until_limit()
         finally:  # interrupted or not
             if run.path is not None and run.found_by == _SEQUENTIAL:
                 # Robots that were to go one after the other set out as early as they can.
-                run.path = side_by_side(problem, run.path)
+                run.path = with_early_departures(problem, run.path)
                 run.history[-1] = (run.history[-1][0], path_cost(problem, run.path))
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     budget, memory = run.budget, int(min(run.num_bytes, _MOST_BYTES))
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
     stats = Stats(*counts, run.seconds, tuple(run.history), run.found_by, memory)
-    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
+    return make_solution(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
 
 
 class Run:
@@ -152,7 +152,7 @@ class Run:
         self.problem, self.heuristic, self.options = problem, heuristic, options
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
-        self.lower_bound, self.enough = options.lower_bound or 0.0, math.inf
+        self.lower_bound, self.accepted_cost = options.lower_bound or 0.0, math.inf
         self.path: JointPath | None = None
         self.cost, self.motions_factor, self.found_by = math.inf, math.inf, ""
         self.history: list[tuple[float, float]] = []
@@ -168,37 +168,37 @@ class Run:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
             self.history.append((seconds, cost))
 
-    def ends(self, phase: str) -> None:
+    def end_phase(self, phase: str) -> None:
         """Count the seconds since the last phase ended."""
         now = time.perf_counter()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
         self._mark = now
 
-    def take_turns_to_go(self) -> Status | None:
-        """Have one robot go after the other, if they can; SOLVED if the path is good enough, or none is cheaper."""
+    def try_sequential_path(self) -> Status | None:
+        """Have one robot go after the other, if they can; SOLVED if the path is good accepted_cost, or none is cheaper."""
         if set(self.options.searchers) == set(SEARCHERS):  # else the result of one search by itself is wanted
             path = sequential_path(self.problem)
-            self.ends("search")
+            self.end_phase("search")
             if path is not None:
                 self.offer(path, _SEQUENTIAL, math.inf)
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
-        enough = (1 + _ROUNDING) * self.lower_bound
+        accepted_cost = (1 + _ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
-            self.enough = enough = self.options.cost_factor * enough
-        return Status.SOLVED if self.cost <= enough else None
+            self.accepted_cost = accepted_cost = self.options.cost_factor * accepted_cost
+        return Status.SOLVED if self.cost <= accepted_cost else None
 
     def search_until_limit(self) -> Status:
-        """Search, then search better, until the path is good enough or a limit is reached."""
+        """Search, then search better, until the path is good accepted_cost or a limit is reached."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
             status, step = self._search_lattices(step, weight, options)
-            if status is not Status.SOLVED or self.cost <= self.enough:
+            if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
                 return limit
@@ -237,7 +237,7 @@ class Run:
                     with suppress(TimeoutError):
                         running.append(Searches(joint, self.heuristic, weight, options, self.budget))
                         weight *= _GREEDIER
-                    self.ends("heuristic")
+                    self.end_phase("heuristic")
                 for searches in reversed(running):
                     self.progress.set_postfix(
                         step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
@@ -247,8 +247,8 @@ class Run:
                     except TimeoutError:
                         status = Status.TIME_LIMIT
                     finally:
-                        self.ends("search")
-                        self.samples = searches.joint.configurations(searches.state)
+                        self.end_phase("search")
+                        self.samples = searches.joint.configurations(searches.node_states)
                     if status is Status.MEMORY_LIMIT:
                         self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
                     if status is Status.SOLVED:
@@ -282,7 +282,7 @@ class Run:
                 joint = None
             while joint is not None and may_halve and (joint.least_costs > _AROUND * straight).any():
                 half = joint.step / 2
-                if _work(problem, half) > _MOST_FIRST or self._needed(half) >= self.options.max_memory:
+                if _num_motions_to_test(problem, half) > _MOST_FIRST or self._needed(half) >= self.options.max_memory:
                     break
                 finer = build_lattices(problem, half, self.test)
                 # One that a robot cannot reach its goal on costs infinitely much.
@@ -294,7 +294,7 @@ class Run:
         except TimeoutError:
             return None
         finally:
-            self.ends("lattice")
+            self.end_phase("lattice")
 
     def _improve(self, searches: "Searches") -> None:
         """Offer a path that was found, then cheaper ones along the lattices, then shortened ones till one will do."""
@@ -302,20 +302,20 @@ class Run:
         path, factor = self._path(searches, state)
         self.offer(path, found_by, factor)
         # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
-        gains = self.enough < math.inf or factor > _NEAR_LEAST
+        gains = self.accepted_cost < math.inf or factor > _NEAR_LEAST
         if len(self.problem.robots) > 1 and len(state) > 1 and gains:
             path, factor = self._path(searches, self._replanned(searches, state))
         for number, shortened in enumerate((shorten, shorten_in_corridors, shorten)):
-            if self.cost <= self.enough < math.inf:
+            if self.cost <= self.accepted_cost < math.inf:
                 return
-            if number == 1 and len(self.problem.robots) == 1 and self.enough == math.inf:
+            if number == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
                 continue  # shortcuts leave a lone robot little to gain
             if number == 2:  # a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
             more = (searches.joint.step / 2,) if number == 1 else ()
             path = shortened(self.problem, path, self.test, *more)
-            self.ends("shorten")
+            self.end_phase("shorten")
             self.offer(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
@@ -334,17 +334,17 @@ class Run:
             while gains:
                 path, factor = self._path(searches, table.state)
                 self.offer(path, found_by, factor)
-                if self.cost <= self.enough or budget.exceeded():
+                if self.cost <= self.accepted_cost or budget.exceeded():
                     break
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
                 gains = before - table.cost.sum() > _GAIN * before
-        self.ends("replan")
+        self.end_phase("replan")
         if table is None:
             return state
         path, factor = self._path(searches, table.state)
         self.offer(path, found_by, factor)
-        table.held.release()
+        table.memory_use.release()
         # Without the rows at its end in which all robots wait.
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
@@ -382,7 +382,7 @@ def num_bytes(problem: Problem, step: float) -> float:
     return total
 
 
-def _work(problem: Problem, step: float) -> float:
+def _num_motions_to_test(problem: Problem, step: float) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
@@ -426,9 +426,9 @@ class Searches:
         budget: SearchBudget,
     ):
         self.joint, self.weight, self.options, self.budget = joint, weight, options, budget
-        self.held = HeldMemory(budget)
+        self.memory_use = MemoryUse(budget)
         num_nodes = sum(len(lattice.q) for lattice in joint.lattices)
-        self.held.add(
+        self.memory_use.add(
             int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2)
         )
         self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, budget.deadline)
@@ -464,18 +464,20 @@ class Searches:
     def release(self) -> None:
         """Stop counting what the lattices and the searches hold."""
         for each in (self, *self.running.values()):
-            each.held.release()
+            each.memory_use.release()
 
     @property
     def found(self) -> tuple[str, State]:
         """The search that has reached the goals, and its states from the starts to them."""
-        return next((name, search.branch) for name, search in self.running.items() if search.found is not None)
+        return next(
+            (name, search.solution_states) for name, search in self.running.items() if search.found is not None
+        )
 
     @property
-    def state(self) -> State:
+    def node_states(self) -> State:
         """The nodes of the search that has more of them, or the starts before there is one."""
         starts = np.array([[lattice.start for lattice in self.joint.lattices]])
-        return max((search.state for search in self.running.values()), key=len, default=starts)
+        return max((search.node_states for search in self.running.values()), key=len, default=starts)
 
     @property
     def num_bytes_needed(self) -> int:
@@ -502,6 +504,6 @@ def first_step(
     # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
     if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
-    while step < _COARSEST * extent and (_work(problem, step) > _MOST_FIRST or not fits(step)):
+    while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MOST_FIRST or not fits(step)):
         step *= _REFINEMENT
     return step

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice
 
 # What the robots of a team may do next from a joint configuration, and which of their motions collide.
@@ -274,7 +274,7 @@ class LaCAM:
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
-        self.joint, self.moves, self.budget, self.held = joint, moves, budget, HeldMemory(budget)
+        self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         far = np.nan_to_num(moves.estimates(start), posinf=0.0)
@@ -282,7 +282,7 @@ class LaCAM:
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None
-        self.nearest = float("inf")  # least sum of the estimates of a node
+        self.least_estimate = float("inf")  # least sum of the estimates of a node
         self.num_idle = 0  # steps that brought it no nearer
         self._add(start, None)
 
@@ -308,7 +308,7 @@ class LaCAM:
                 if len(constraints) < len(node.order):
                     robot = node.order[len(constraints)]
                     node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
-                    self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+                    self.memory_use.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
                 primitives = PIBT(moves).find(node.order, constraints)
                 if primitives is not None:
                     self.budget.num_children_valid += 1
@@ -320,7 +320,7 @@ class LaCAM:
         return None if self.open else Status.EXHAUSTED
 
     @property
-    def branch(self) -> Int[np.ndarray, "n robots"]:
+    def solution_states(self) -> Int[np.ndarray, "n robots"]:
         """States from the starts to the goals, once these are found."""
         states, node = [], self.found
         while node is not None:
@@ -329,7 +329,7 @@ class LaCAM:
         return np.array(states[::-1])
 
     @property
-    def state(self) -> Int[np.ndarray, "n robots"]:
+    def node_states(self) -> Int[np.ndarray, "n robots"]:
         """All nodes, in the order of their making."""
         return np.array([node.state for node in self.nodes.values()])
 
@@ -344,10 +344,10 @@ class LaCAM:
             order = np.argsort(-waiting, kind="stable").tolist()
             node = self.nodes[key] = Node(state, parent, waiting, order, deque([()]))
             self.budget.num_nodes += 1
-            self.held.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
+            self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.found = node
             estimate = float(self.moves.estimates(state).sum())
-            if estimate < (1 - _ROUNDING) * self.nearest:
-                self.nearest, self.num_idle = estimate, 0
+            if estimate < (1 - _ROUNDING) * self.least_estimate:
+                self.least_estimate, self.num_idle = estimate, 0
         self.open.append(node)

@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
+from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
@@ -40,7 +40,7 @@ State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint configurations, as indic
 Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
 
 
-class Ends(NamedTuple):
+class Terminals(NamedTuple):
     """The starts and the goals of robots, which stand for their cells.
 
     Args:
@@ -90,18 +90,18 @@ class Kind:
         num_cells: int,
         side: Float[np.ndarray, "dof"],
         offset: Float[np.ndarray, "primitives dof"],
-        ends: Ends,
+        terminals: Terminals,
     ):
         self.robot, self.members, self.q, self.num_cells = robot, members, q, num_cells
-        (self.child, self.cost), self.side, self.offset, self.ends = leads, side, offset, ends
+        (self.child, self.cost), self.side, self.offset, self.terminals = leads, side, offset, terminals
         moves = np.nonzero(np.isfinite(self.cost))
         shared = moves[0], self.child[moves], self.cost[moves]
-        own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
-        into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
+        own = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
+        into_ends = terminals.begin[own], terminals.node[own[:2]], terminals.cost[own]
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
-        self.own = np.split(
+        self.terminal_edges = np.split(
             np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(members)))
         )
         x, y = (q[self.end] - q[self.begin])[:, :2].T
@@ -114,49 +114,49 @@ class Kind:
         Motions to a start or a goal take the place of those to its cell.
         """
         child, cost = self.child[node], self.cost[node]
-        enters = self.ends.begin[row] == node[:, None, None, None]
+        enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
-        entry = np.broadcast_to(self.ends.cost[row], enters.shape)[enters]
-        end = np.broadcast_to(self.ends.node[row][..., None, None], enters.shape)[enters]
+        entry = np.broadcast_to(self.terminals.cost[row], enters.shape)[enters]
+        end = np.broadcast_to(self.terminals.node[row][..., None, None], enters.shape)[enters]
         child[at, primitive] = np.where(np.isfinite(entry), end, node[at])
         cost[at, primitive] = entry
         return child, cost
 
     @cached_property
-    def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+    def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
         """The shared edges that end in each node, filled up with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
-        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
+        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order
         return into
 
-    def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
+    def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
         """The edges of one robot that end in each node, filled up with ``num_edges``."""
-        into, own = self._into_nodes.copy(), self.own[row]
-        into[:, self.ends.cell[row]] = self.num_edges
-        for node in self.ends.node[row]:
+        into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
+        into[:, self.terminals.cell[row]] = self.num_edges
+        for node in self.terminals.node[row]:
             edges = own[self.end[own] == node]
             into[1 : 1 + len(edges), node] = edges  # after the one that stays
         return into
 
     @cached_property
-    def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    def _sorted_edges(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
-    def along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
+    def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
         """The edges along a path."""
-        order, key = self._by_nodes
+        order, key = self._sorted_edges
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
-    def _cheapest(self) -> Int[np.ndarray, "m"]:
+    def _cheapest_edges(self) -> Int[np.ndarray, "m"]:
         """The shared edges that lead elsewhere and have no cheaper one beside them."""
-        order, key = self._by_nodes
+        order, key = self._sorted_edges
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
@@ -166,12 +166,12 @@ class Kind:
         That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
         """
         # Backward, each search begins at a node of its own, from which the edges into the goal lead.
-        num_nodes, goals, searches = len(self.q), self.ends.node[rows, 1], np.arange(len(rows))
-        search = np.repeat(searches, [len(self.own[row]) for row in rows])
-        own = np.concatenate([self.own[row] for row in rows])
+        num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
+        search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
+        own = np.concatenate([self.terminal_edges[row] for row in rows])
         into_goal = self.end[own] == goals[search]
-        edge = np.append(self._cheapest, own[into_goal])
-        begin = np.append(self.end[self._cheapest], num_nodes + search[into_goal])
+        edge = np.append(self._cheapest_edges, own[into_goal])
+        begin = np.append(self.end[self._cheapest_edges], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
@@ -179,9 +179,9 @@ class Kind:
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
         """Cost of the cheapest motions from the start of one robot to each node but its goal, likewise."""
-        edge = self._cheapest
+        edge = self._cheapest_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
-        return sparse_graphs.dijkstra(graph, indices=self.ends.node[row, 0])
+        return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:
@@ -196,7 +196,7 @@ class Lattice:
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
-        self.start, self.goal = kind.ends.node[row].tolist()
+        self.start, self.goal = kind.terminals.node[row].tolist()
 
     @cached_property
     def _motions(self) -> Leads:
@@ -284,7 +284,7 @@ Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
-class Motions(NamedTuple):
+class CellGrid(NamedTuple):
     """A grid of equal cells over a robot's configuration space, their representatives, and motions between these."""
 
     lo: Float[np.ndarray, "dof"]
@@ -298,7 +298,7 @@ class Motions(NamedTuple):
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
-    def with_ends(
+    def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
         """Robots of this kind, with their starts and goals."""
@@ -309,7 +309,7 @@ class Motions(NamedTuple):
         cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
         differ = straight_costs(starts, goals, 1.0) > 0
         motions, (occupied, first) = self, np.unique(cells, return_index=True)
-        # 1. Ends represent their cells where nothing else does. The opposite of an offset may be no primitive: test
+        # 1. Terminals represent their cells where nothing else does. The opposite of an offset may be no primitive: test
         # all motions that begin or end in these cells.
         missing = ~self.free[occupied]
         if missing.any():
@@ -350,7 +350,7 @@ class Motions(NamedTuple):
         enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
         begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
-        all_ends = Ends(*(np.stack(np.split(column, 2), axis=1) for column in columns))
+        all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
         return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
@@ -405,19 +405,21 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
         starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
-        motions = motions_of(problem.workspace, robot, weight, step, test.deadline)
-        kinds.append(motions.with_ends(robot, members, starts, goals))
+        motions = cell_grid(problem.workspace, robot, weight, step, test.deadline)
+        kinds.append(motions.with_terminals(robot, members, starts, goals))
     lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
     return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(each))], test)
 
 
-def motions_of(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> Motions:
+def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
     """The motions of a kind of robot, as :func:`build_lattices` has them, without starts and goals."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
-    return (_motions_kept if is_small else _motions)(workspace, robot, weight, step, Indifferent(deadline))
+    return (_cached_cell_grid if is_small else _build_cell_grid)(
+        workspace, robot, weight, step, IgnoredByCache(deadline)
+    )
 
 
-def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> Motions:
+def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> CellGrid:
     # Cells no larger than a step; headings are centered on the axes, along which hallways lie most often.
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
@@ -433,7 +435,7 @@ def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, dea
     offsets = np.array([(0, 0, 0), *(p for p in PRIMITIVES if dof == 3 or p[2] == 0)])[:, :dof]
     child, per_position = np.empty((len(q), len(offsets)), dtype=np.intp), len(q) // num_positions
     free, cost = np.empty(len(q), dtype=bool), np.empty(child.shape)
-    motions = Motions(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
+    motions = CellGrid(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
 
@@ -463,4 +465,4 @@ def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, dea
     return motions
 
 
-_motions_kept = lru_cache(maxsize=8)(_motions)
+_cached_cell_grid = lru_cache(maxsize=8)(_build_cell_grid)

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from plr_jax._arrays import take_ragged
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._solution import HeldMemory, SearchBudget
+from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 
 _CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
@@ -45,13 +45,15 @@ class ReservationTable:
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
-        self.held = HeldMemory(budget)
-        self.held.add(num_bytes_of_table(joint, len(state)))
+        self.memory_use = MemoryUse(budget)
+        self.memory_use.add(num_bytes_of_table(joint, len(state)))
         self._costs_to_come: dict[int, np.ndarray] = {}
         pairs = [(a, b) for a in range(len(self.kinds)) for b in range(len(self.kinds))]
-        self._known: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
+        self._colliding_edges: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
         self._chunk = dict.fromkeys(pairs, 1)
-        self.place = {int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)}
+        self.kind_and_row = {
+            int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
+        }
         size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
         self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
         # Of each kind the places of its nodes, and its edges by the node where they begin.
@@ -61,15 +63,15 @@ class ReservationTable:
             order = np.argsort(begin, kind="stable")
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
-        self.cost, self.least = np.zeros(state.shape[1]), joint.least_costs
-        for i, (k, _) in self.place.items():
+        self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs
+        for i, (k, _) in self.kind_and_row.items():
             kind = self.kinds[k]
-            self.cost[i] = kind.edge_cost[kind.along(self.state[:, i])].sum()
+            self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
         try:
-            for i in self.place:
+            for i in self.kind_and_row:
                 self.reserve(i)
         except TimeoutError:
-            self.held.release()
+            self.memory_use.release()
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
@@ -78,8 +80,8 @@ class ReservationTable:
         Raises:
             TimeoutError: If time or memory is spent before all collisions are found.
         """
-        a = self.place[i][0]
-        motions = self.kinds[a].along(self.state[:, i])
+        a = self.kind_and_row[i][0]
+        motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
             colliding = self.collisions(a, motions, b)
             step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
@@ -91,7 +93,7 @@ class ReservationTable:
         Raises:
             TimeoutError: If time or memory is spent before all are found. What was found is kept.
         """
-        known, (ours, others) = self._known[a, b], (self.kinds[a], self.kinds[b])
+        known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
         while len(missing):
@@ -113,26 +115,26 @@ class ReservationTable:
             row, edge = row[~apart], edge[~apart].astype(np.int32)
             found = [each.copy() for each in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
             known.update(zip(part.tolist(), found, strict=True))
-            self.held.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
+            self.memory_use.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
         return [known[edge] for edge in edges.tolist()]
 
-    def replan(self, i: int, most: float) -> bool:
-        """Give a robot whose path is released its cheapest one among the others; whether that costs at most ``most``.
+    def replan(self, i: int, max_cost: float) -> bool:
+        """Give a robot whose path is released its cheapest one among the others; whether that costs at max_cost ``max_cost``.
 
         If it does not, or time is up, the robot keeps its path.
         """
-        k, row = self.place[i]
+        k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
-        start, goal = kind.ends.node[row].tolist()
+        start, goal = kind.terminals.node[row].tolist()
         if i not in self._costs_to_come:
             self._costs_to_come[i] = kind.costs_to_come(row)
-            self.held.add(self._costs_to_come[i].nbytes)
+            self.memory_use.add(self._costs_to_come[i].nbytes)
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0
-        nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
+        nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
         index = np.full(len(least), len(nodes))
         index[nodes] = np.arange(len(nodes))
-        into = kind.into_nodes(row)[:, nodes]
+        into = kind.edges_into_nodes(row)[:, nodes]
         begin, cost = index[kind.begin[into]], kind.edge_cost[into]
         # Cost-to-come by step and node; the last column stands for all nodes that lead nowhere cheap.
         reached = np.full((len(self.state), len(nodes) + 1), np.inf)
@@ -143,7 +145,7 @@ class ReservationTable:
             if self.budget.spent():
                 return False
         at = index[goal]
-        if not reached[-1, at] <= most * (1 + _ROUNDING):
+        if not reached[-1, at] <= max_cost * (1 + _ROUNDING):
             return False
         self.cost[i], self.state[-1, i] = reached[-1, at], goal
         for step in range(len(blocked) - 1, -1, -1):
@@ -161,13 +163,13 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan each robot in turn, those first that lose most, until that gains little."""
+    """Replan each robot in turn, those first that lose max_cost, until that gains little."""
     while True:
         before = table.cost.sum()
-        for i in np.argsort(table.least - table.cost).tolist():
+        for i in np.argsort(table.least_costs - table.cost).tolist():
             if table.budget.spent():
                 return
-            if table.cost[i] > table.least[i] * (1 + _ROUNDING):
+            if table.cost[i] > table.least_costs[i] * (1 + _ROUNDING):
                 table.reserve(i, -1)
                 table.replan(i, float(table.cost[i]))
                 table.reserve(i)
@@ -187,7 +189,7 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
     reserved = []
     try:
         for done, i in enumerate(robots):
-            spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
+            spent, needed = table.cost[robots[:done]].sum(), table.least_costs[robots[done + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
                 return False
             table.reserve(i)
@@ -205,8 +207,8 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
     """Replan so many neighborhoods: a robot that loses, chosen at random, and those that come nearest to it."""
     for _ in range(count):
-        loss = np.maximum(table.cost - table.least, 0.0)
-        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least.sum():
+        loss = np.maximum(table.cost - table.least_costs, 0.0)
+        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():
             return
         i = int(rng.choice(len(loss), p=loss / loss.sum()))
         places = [lattice.q[at, :2] for lattice, at in zip(table.joint.lattices, table.state.T, strict=True)]

@@ -37,7 +37,7 @@ Points = Float[np.ndarray, "n 2"]
 Way = list[complex]
 Path = Float[np.ndarray, "steps robots dof"]
 Retimed = Float[np.ndarray, "rows robots dof"]
-Reaches = list[list[float]]
+TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
@@ -62,7 +62,7 @@ class CornerRoadmap:
         turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
         turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)  # negative where walls meet from within
         self._tips = begin[turn > 0]
-        q = _places_at(begin, boundary.normal, turn, radius)
+        q = _positions_at(begin, boundary.normal, turn, radius)
         self.q = q[workspace.clearance(q) >= self._reach]
         first, last = np.triu_indices(len(self.q), 1)
         free = self.is_free(self.q[first], self.q[last])
@@ -86,7 +86,7 @@ class CornerRoadmap:
         inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
-    def journeys(self, starts: Points, goals: Points) -> "list[Journey]":
+    def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
         """What equal robots need to know of their ways."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
@@ -95,7 +95,7 @@ class CornerRoadmap:
         to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
         places = (ends @ _COMPLEX).tolist()
         columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
-        return [Journey(self, *of_one) for of_one in zip(*columns, strict=True)]
+        return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
     def between(self, u: int, v: int) -> Way:
         """The shortest way from one to another."""
@@ -110,10 +110,10 @@ class CornerRoadmap:
         return (self.q @ _COMPLEX).tolist()
 
 
-_kept = lru_cache(maxsize=16)(CornerRoadmap)
+_cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 
 
-def _places_at(
+def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
     """A disc's place at each corner, off the lines of both walls, whose normals turn by so much; two at a tip."""
@@ -126,7 +126,7 @@ def _places_at(
     return np.concatenate(points)
 
 
-class Journey(NamedTuple):
+class Routes(NamedTuple):
     """One robot's ways from its start to its goal by way of corners.
 
     Args:
@@ -171,28 +171,28 @@ def sequential_path(problem: Problem) -> Path | None:
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
-    found: dict[int, Journey] = {}
+    found: dict[int, Routes] = {}
     for radius in {robot.rounding for robot in robots}:
         alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        journeys = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
-        found.update(zip(alike, journeys, strict=True))
-    journeys, reach = [found[i] for i in range(len(robots))], _reaches(problem)
-    ways = [way for journey in journeys if (way := journey.way())]
+        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[alike], problem.goals[alike])
+        found.update(zip(alike, all_routes, strict=True))
+    all_routes, reach = [found[i] for i in range(len(robots))], _touch_distances(problem)
+    ways = [way for routes in all_routes if (way := routes.way())]
     if len(ways) < len(robots):
         return None
     # Where the robots stand, who waits, and who has stepped aside.
-    at = [journey.start for journey in journeys]
+    at = [routes.start for routes in all_routes]
     waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]
 
     def clears(i: int, way: Way, ignored: tuple[int, ...]) -> bool:
         """Whether a way of a robot leads past the others where they stand, but for those ignored."""
-        return not any(_meets(way, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
+        return not any(_comes_within(way, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
         """Whether a robot may go home: but for those ignored, nobody is in its way, and it will be in nobody's."""
         others = [j for j in waiting if j not in ignored]
-        goal = journeys[i].goal
-        return clears(i, ways[i], ignored) and not any(_meets(ways[j], goal, reach[i][j]) for j in others)
+        goal = all_routes[i].goal
+        return clears(i, ways[i], ignored) and not any(_comes_within(ways[j], goal, reach[i][j]) for j in others)
 
     def go(i: int, way: Way) -> None:
         """Have a robot go a way, alone."""
@@ -205,17 +205,17 @@ def sequential_path(problem: Problem) -> Path | None:
         """Have a robot step aside into a corner, once, and another go home past it; whether they can."""
         if i in aside or not is_ready(j, i, j):
             return False
-        journey = journeys[i]
+        routes = all_routes[i]
         # What the shortest ways from start to goal by way of each corner cost.
-        detours = (journey.out + journey.roadmap.cost).min(axis=1, initial=np.inf) + journey.to_go
+        detours = (routes.out + routes.roadmap.cost).min(axis=1, initial=np.inf) + routes.to_go
         for corner in np.argsort(detours, kind="stable").tolist():
             if detours[corner] == np.inf:
                 break
-            if _meets(ways[j], journey.roadmap.places[corner], reach[i][j]):
+            if _comes_within(ways[j], routes.roadmap.places[corner], reach[i][j]):
                 continue
-            first = int((journey.out + journey.roadmap.cost[corner]).argmin())
-            out, home = [journey.start, *journey.roadmap.between(first, corner)], journey.way_home(corner)
-            if clears(i, out, (i,)) and not _meets(home, journeys[j].goal, reach[i][j]):
+            first = int((routes.out + routes.roadmap.cost[corner]).argmin())
+            out, home = [routes.start, *routes.roadmap.between(first, corner)], routes.way_home(corner)
+            if clears(i, out, (i,)) and not _comes_within(home, all_routes[j].goal, reach[i][j]):
                 go(i, out)
                 aside.add(i)
                 ways[i] = home
@@ -235,7 +235,7 @@ def sequential_path(problem: Problem) -> Path | None:
     return np.array(rows)[..., None].view(np.float64)
 
 
-def _meets(way: Way, place: complex, reach: float) -> bool:
+def _comes_within(way: Way, place: complex, reach: float) -> bool:
     """Whether a way leads nearer to a place than a distance."""
     for begin, end in pairwise(way):
         rate, offset = end - begin, place - begin
@@ -246,7 +246,7 @@ def _meets(way: Way, place: complex, reach: float) -> bool:
     return False
 
 
-def _reaches(problem: Problem) -> Reaches:
+def _touch_distances(problem: Problem) -> TouchDistances:
     """Distances at which two robots touch; no rounding error decides whether they collide."""
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
@@ -255,14 +255,14 @@ def _reaches(problem: Problem) -> Reaches:
 # The same motions at other times.
 
 
-def side_by_side(problem: Problem, path: Path) -> Retimed:
+def with_early_departures(problem: Problem, path: Path) -> Retimed:
     """A path of :func:`sequential_path` whose robots set out as soon as they meet none that set out before them.
 
     Nobody goes another way, so that the path costs as much, and takes no longer.
     """
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
-    reach = np.array(_reaches(problem))[first_of, second_of]
+    reach = np.array(_touch_distances(problem))[first_of, second_of]
     times, ways = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
     result, row = path[:1], 0

@@ -39,33 +39,33 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
     of the test.
     """
-    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
-    hopeful = np.ones(len(test.robots), dtype=bool)
-    in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
+    may_gain = np.ones(len(test.robots), dtype=bool)
+    in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # of each robot, who kept it from gaining
     # First and last rows of the motions and of all that may be a shortcut.
     begin, place = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
     end, gains = begin + 1 + place, True
     with suppress(TimeoutError):
         while gains:
-            for i in range(len(hopeful)):
-                if not hopeful[i]:
+            for i in range(len(may_gain)):
+                if not may_gain[i]:
                     continue
-                rows, in_way[i] = _with_shortcuts(problem, traffic, i, test, begin, end)
-                hopeful[i] = len(rows) < len(path)
-                if hopeful[i]:
-                    q, before = traffic.path[:, i].copy(), traffic.path[:, i]
+                rows, in_way[i] = _with_shortcuts(problem, trajectory, i, test, begin, end)
+                may_gain[i] = len(rows) < len(path)
+                if may_gain[i]:
+                    q, before = trajectory.path[:, i].copy(), trajectory.path[:, i]
                     for first, last in pairwise(rows):  # at constant speed; the rows themselves stay as they are
                         share = np.arange(1, last - first)[:, None] / (last - first)
                         q[first + 1 : last] = between(before[first], before[last], share)
-                    traffic.move(i, q)
-                    hopeful |= in_way[:, i]
-            before, cost = cost, path_cost(problem, traffic.path)
+                    trajectory.move(i, q)
+                    may_gain |= in_way[:, i]
+            before, cost = cost, path_cost(problem, trajectory.path)
             gains = before - cost > _LEAST_ROUND_GAIN * before
-    return traffic.path
+    return trajectory.path
 
 
 def _with_shortcuts(
-    problem: Problem, traffic: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
+    problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
 
@@ -73,8 +73,8 @@ def _with_shortcuts(
     """
     # 1. Shortcuts that save something and hit no wall. One from or to a contact of walls may lead to the other side,
     # except at the ends of the path.
-    q, own = traffic.path[:, i], end == begin + 1
-    at_contact = test.of_walls[i].is_at_contact(q)
+    q, own = trajectory.path[:, i], end == begin + 1
+    at_contact = test.wall_tests[i].is_at_contact(q)
     at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
@@ -82,7 +82,7 @@ def _with_shortcuts(
     useful &= own | ~(at_contact[begin] | at_contact[end])
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
-    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
+    shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
     # 2. Those that keep clear of the other robots, each cut into its pieces in the motions of the path.
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
@@ -95,8 +95,8 @@ def _with_shortcuts(
         edge = owner[now]
         q0, q1, count = q[since[edge]], q[until[edge]], (until - since)[edge, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None] / count) for ahead in (0, 1))
-        piece, other = traffic.near(i, circles(first[:, None], last[:, None]), motion[now])
-        meet = test.meet(i, first[piece], last[piece], traffic, motion[now[piece]], other)
+        piece, other = trajectory.robots_near(i, circles(first[:, None], last[:, None]), motion[now])
+        meet = test.meet(i, first[piece], last[piece], trajectory, motion[now[piece]], other)
         apart[edge[piece[meet]]], in_way[other[meet]] = False, True
     # 3. The cheapest way along what is left. An entry of 0 is an edge of no cost.
     own[shortcuts[apart]] = True
@@ -127,7 +127,7 @@ _NARROWINGS = 3
 _REACH = 4  # widths of a corridor within which two robots count as touching
 _MARGIN = 3  # rows before and after those in which they do
 _ROUNDING = 1e-9
-_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
+_PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
@@ -136,27 +136,27 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
     and is never costlier. It ends early at the deadline of the test.
     """
-    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
         while width > narrowest:
-            for robots, rows in _groups(problem, traffic.path, width):
-                own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
+            for robots, rows in _corridor_groups(problem, trajectory.path, width):
+                own, weights = trajectory.path[rows, robots], problem.rotation_weights[list(robots)]
                 least = straight_costs(own[0], own[-1], weights).sum()
                 if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
                     continue  # they go straight: there is nothing to gain
-                found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+                found = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
                 for i, q in zip(robots, found, strict=True):
-                    if (q != traffic.path[rows, i]).any():
-                        traffic.move(i, q, rows)
+                    if (q != trajectory.path[rows, i]).any():
+                        trajectory.move(i, q, rows)
             diagonal = not diagonal
-            before, cost = cost, path_cost(problem, traffic.path)
+            before, cost = cost, path_cost(problem, trajectory.path)
             if before - cost <= _CORRIDOR_GAIN * before:
                 width /= 2
-    return traffic.path
+    return trajectory.path
 
 
-def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
+def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
     """What is shortened together: every robot alone, and each two in the rows in which they touch.
 
     The path may change between one and the next.
@@ -179,9 +179,9 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
 
 
-def _shortened(
+def _shortened_in_corridors(
     problem: Problem,
-    traffic: TeamTrajectory,
+    trajectory: TeamTrajectory,
     rows: slice,
     robots: Robots,
     test: JointMotionTest,
@@ -194,31 +194,31 @@ def _shortened(
     deadline of the test.
     """
     require_time(test.deadline, "all corridors were searched")
-    path, motion = traffic.path[rows], np.arange(rows.start, rows.stop - 1)
+    path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(own) for own in corridors]
     own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
-    through = [_least_through(cost) for cost in costs]
+    through = [_least_cost_through(cost) for cost in costs]
     least = [float(cost[0].min()) for cost in through]
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
     for i, corridor, reached, cost, total, alone in zip(
         robots, corridors, around, costs, through, least, strict=True
     ):
-        # The motions that the robot makes keep their cost. Others must be hopeful, and hit no wall and no other robot
+        # The motions that the robot makes keep their cost. Others must be may_gain, and hit no wall and no other robot
         # but those that are shortened with it.
-        own, hopeful = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
-        cost[~hopeful] = np.inf
-        row, first, last = np.nonzero(hopeful)
-        tight = ~test.of_walls[i].has_room(*reached)[row]
+        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
+        cost[~may_gain] = np.inf
+        row, first, last = np.nonzero(may_gain)
+        tight = ~test.wall_tests[i].has_room(*reached)[row]
         begin, end = corridor[row, first], corridor[row + 1, last]
-        at_contact = test.of_walls[i].is_at_contact(corridor)
+        at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         tight &= free
-        free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
-        near, other = traffic.near(i, reached, motion, robots)
+        free[tight] = test.wall_tests[i](begin[tight], end[tight], test.deadline)
+        near, other = trajectory.robots_near(i, reached, motion, robots)
         tested, pair = take_ragged(np.searchsorted(row, np.arange(len(motion) + 1)), near)
-        free[tested[test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])]] = False
+        free[tested[test.meet(i, begin[tested], end[tested], trajectory, motion[near[pair]], other[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
         cost[:, 0, 0] = own
     cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
@@ -235,13 +235,13 @@ def _joint_costs(
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
     cost = cost.reshape(-1, size, size)
     own = cost[:, 0, 0].copy()
-    hopeful = _least_through(cost) < (1 - _ROUNDING) * own.sum()
+    may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * own.sum()
     near = np.zeros(len(cost), dtype=bool)
     near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
-    tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+    tested = np.nonzero((may_gain & near[:, None, None]).reshape(shape))
     row, a_first, b_first, a_last, b_last = tested
     apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
-    cost[~hopeful] = np.inf
+    cost[~may_gain] = np.inf
     cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
     cost[:, 0, 0] = own
     return cost
@@ -250,8 +250,8 @@ def _joint_costs(
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
     """Configurations about each row, the row itself first; at both ends nothing else."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
-    offsets = np.zeros((len(_FIVE), q.shape[1]))
-    offsets[:, :2] = width * _FIVE @ axes
+    offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
+    offsets[:, :2] = width * _PLUS_PATTERN @ axes
     if problem.robots[i].dof == 3:
         turn = width / problem.robots[i].circumscribed_radius
         offsets = np.concatenate([offsets, [(0, 0, turn), (0, 0, -turn)]])
@@ -260,7 +260,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
     return corridor
 
 
-def _least_through(cost: Costs) -> Costs:
+def _least_cost_through(cost: Costs) -> Costs:
     """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)

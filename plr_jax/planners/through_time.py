@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
-from plr_jax.planners.lattice import Lattice, motions_of
+from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots.robot import between
 
 # Where each robot is at each row, and whether another motion fits in between.
@@ -54,28 +54,28 @@ class Timetable:
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
         self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
-        self.absent: set[int] = set()
+        self.ignored: set[int] = set()
         self._last = len(path) - 1
-        self._traffic = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
+        self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
         """The configurations, row by row, to the one from which on all stay where they are."""
-        return self._traffic.path[: int(self.ends.max()) + 1]
+        return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
         """Have a robot make other motions, of any number of rows, and be in the way of others again."""
         if len(q) > self._last + 1:
-            more = np.repeat(self._traffic.path[-1:], len(q) - self._last - 1, axis=0)
-            self._last, path = len(q) - 1, np.concatenate([self._traffic.path, more])
-            self._traffic = TeamTrajectory(self.problem.robots, path)
-        whole = self._traffic.path[:, i].copy()  # a heading that the robot has not stays as it is
+            more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
+            self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
+            self._trajectory = TeamTrajectory(self.problem.robots, path)
+        whole = self._trajectory.path[:, i].copy()  # a heading that the robot has not stays as it is
         whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
-        self._traffic.move(i, whole)
+        self._trajectory.move(i, whole)
         self.ends[i] = len(q) - 1
-        self.absent.discard(i)
+        self.ignored.discard(i)
 
-    def fits(
+    def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
         """Whether straight motions of one robot, from some rows on for so many rows, keep clear of the others."""
@@ -94,7 +94,7 @@ class Timetable:
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def free_from(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
+    def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
         """For each row the first from there on at which a robot may stay somewhere for so many rows, ``inf`` if none.
 
         What the last row says holds after it as well.
@@ -109,23 +109,23 @@ class Timetable:
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
         """Motions of one robot, each in the row given, that meet others, and whom."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
-        piece, other = self._traffic.near(i, around, motion, list(self.absent))
+        piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
         piece, other = piece[there], other[there]
-        meet = self.test.meet(i, first[piece], last[piece], self._traffic, motion[piece], other)
+        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, motion[piece], other)
         return piece[meet], other[meet]
 
 
-def in_rows(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
+def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
     """A path with rows added, none of which takes longer than a length."""
-    count = np.maximum(_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
+    count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
     finer[step == 0] = path[:-1]
     return np.concatenate([finer, path[-1:]])
 
 
-def _rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
+def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
     """How many rows of a length motions of some costs take."""
     return np.ceil(cost / length - _ROUNDING)
 
@@ -140,11 +140,11 @@ ROWS_PER_STEP = 2.8  # of a lattice: a step takes 3 rows, a diagonal one 4, hard
 _WAIT = 3  # rows of a wait; a node is reached once in as many rows
 _BATCH = 16  # states expanded at once
 _ROOM = 4  # radii from walls at which a robot that rests leaves room for another to pass, and to spare
-_AHEAD = 32  # waypoints that a straight way leaves out at most
+_AHEAD = 32  # waypoints that a straight way leaves out at max_states
 
 
 def plan_through_time(
-    timetable: Timetable, i: int, step: float, rest: float | int, most: int
+    timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
 ) -> tuple[Motion | None, bool]:
     """The motion that brings a robot to its goal soonest among the others, and whether it does.
 
@@ -156,7 +156,7 @@ def plan_through_time(
         i: The robot.
         step: Of its lattice. A row takes it by so much over :data:`ROWS_PER_STEP`, in units of cost.
         rest: Rows for which it has to be free to stay where it ends, ``inf`` for good.
-        most: States to be expanded before it goes but part of its way.
+        max_states: States to be expanded before it goes but part of its way.
 
     Returns:
         Its configurations row by row, None if there is no place where it may rest; and whether the last is its goal.
@@ -168,15 +168,15 @@ def plan_through_time(
     length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
     # 1. Rows that each motion takes, and from each node to the goal if the robot is alone.
     start, goal = timetable.path[:1, i, : robot.dof], problem.goals[[i], : robot.dof]
-    motions = motions_of(problem.workspace, robot, weight, step, deadline)
-    lattice = Lattice(motions.with_ends(robot, np.zeros(1, int), start, goal), 0)
-    child, duration, q = lattice.child, _rows(lattice.cost, length), lattice.q
+    motions = cell_grid(problem.workspace, robot, weight, step, deadline)
+    lattice = Lattice(motions.with_terminals(robot, np.zeros(1, int), start, goal), 0)
+    child, duration, q = lattice.child, _num_rows(lattice.cost, length), lattice.q
     leads = np.isfinite(duration)
     first = np.append(0, np.cumsum(leads.sum(axis=1)))
     graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    free = timetable.free_from(i, q[lattice.goal], rest)
+    free = timetable.next_free_rows(i, q[lattice.goal], rest)
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The row at which the goal may be reached at best."""
@@ -189,7 +189,7 @@ def plan_through_time(
     known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
     if lattice.start == lattice.goal and free[0] == 0:
         best, arrived = 0, 0
-    while waiting and waiting[0][0] < best and num_expanded < most:
+    while waiting and waiting[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
         some = [heapq.heappop(waiting)[2] for _ in range(min(len(waiting), _BATCH))]
         num_expanded += len(some)
@@ -202,7 +202,7 @@ def plan_through_time(
         keys = list(zip(end.tolist(), (when // _WAIT).tolist(), strict=True))
         new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=int)
         first, since = begin[place[new]], row[place[new]]
-        for n in new[timetable.fits(i, q[first], q[end[new]], since, when[new] - since)].tolist():
+        for n in new[timetable.are_free(i, q[first], q[end[new]], since, when[new] - since)].tolist():
             if keys[n] not in known:
                 known.add(keys[n])
                 if end[n] == lattice.goal and at_best[n] == when[n]:
@@ -220,7 +220,7 @@ def plan_through_time(
         for begin in range(0, len(order), _BATCH):
             some = order[begin : begin + _BATCH]
             count = np.full(len(some), int(min(rest, len(timetable.path))))
-            may_rest = timetable.fits(i, q[at[some]], q[at[some]], when[some], count)
+            may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
             if may_rest.any():
                 found = int(some[may_rest.argmax()])
                 break
@@ -238,18 +238,18 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
 
     A waypoint is reached no later than it was, and the robot may wait there until then.
     """
-    walls, deadline = timetable.test.of_walls[i], timetable.test.deadline
+    walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:
         ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
         begin = np.repeat(q[[at]], len(ahead), axis=0)
-        count = _rows(straight_costs(begin, q[ahead], weight), length).astype(int)
+        count = _num_rows(straight_costs(begin, q[ahead], weight), length).astype(int)
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]
         since = np.full(len(ahead), now)
-        fits = timetable.fits(i, begin, q[ahead], since, count)
-        fits &= timetable.fits(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
+        fits = timetable.are_free(i, begin, q[ahead], since, count)
+        fits &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
         if fits.any():
             farthest = np.flatnonzero(fits)[-1]
             at, steps = int(ahead[farthest]), int(count[farthest])

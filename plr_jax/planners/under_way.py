@@ -19,12 +19,12 @@ from plr_jax.planners._solution import (
     Solution,
     Stats,
     Status,
-    require_task,
-    solution_of,
+    make_solution,
+    require_problem_and_options,
     straight_line_bound,
 )
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, in_rows, plan_through_time
+from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 _DEFAULT_OPTIONS = BLOptions()
 
@@ -73,7 +73,7 @@ def replan(
     References:
         Silver, "Cooperative pathfinding", 2005.
     """
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     began, num_robots = time.perf_counter(), len(problem.robots)
     # 1. The robots that stand, whose goals are where they start.
     expected = f"standing must be indices of the {num_robots} robots"
@@ -103,7 +103,9 @@ def replan(
     rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
     # 3. Plan those anew whose motions do not lead to their goals any more.
     step = options.step or first_step(problem)
-    timetable = Timetable(problem, in_rows(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit)
+    timetable = Timetable(
+        problem, subdivided(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit
+    )
     try:
         status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED
     except TimeoutError:
@@ -114,7 +116,7 @@ def replan(
         return bl_plan(problem, options=options)
     found = timetable.path if status is Status.SOLVED else None
     stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
-    return solution_of(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
+    return make_solution(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
@@ -124,14 +126,14 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     for i in sorted({*range(num_robots)} - fixed):
         dof, q = problem.robots[i].dof, timetable.path[:, i]
         is_there = (q[-1, :dof] == problem.goals[i, :dof]).all()
-        if not is_there or not test.of_walls[i](q[:-1], q[1:], test.deadline).all():
+        if not is_there or not test.wall_tests[i](q[:-1], q[1:], test.deadline).all():
             todo.append(i)
-    timetable.absent.update(todo)
+    timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
         """Plan robots anew whose motions meet one; until then they are in nobody's way."""
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
-        timetable.absent.update(others)
+        timetable.ignored.update(others)
         todo.extend(others)
 
     for i in fixed:
@@ -144,9 +146,9 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         i = todo.pop(0)
         motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
         if motion is None or not arrives:
-            others, timetable.absent = timetable.absent, {*range(num_robots)} - fixed
+            others, timetable.ignored = timetable.ignored, {*range(num_robots)} - fixed
             motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
-            timetable.absent = others
+            timetable.ignored = others
             if motion is None or not arrives:
                 return False
             make_way(i, motion)
@@ -234,27 +236,27 @@ def lifelong(
         Li et al., "Lifelong multi-agent path finding in large-scale warehouses", 2021. Silver, "Cooperative
         pathfinding", 2005.
     """
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     require_integer("num_goals", num_goals, 1)
     require_function("next_goal", next_goal)
     if plan is not None:
         require_function("plan", plan)
-    team = _Team(problem, options, plan)
+    team = _LifelongTeam(problem, options, plan)
     with tqdm(total=num_goals, desc="lifelong", unit=" goals", delay=3, leave=False, disable=None) as progress:
         try:
             status = team.plan_from_nothing()
             while status is Status.SOLVED and len(team.served) < num_goals:
-                arrived = team.go_on()
+                arrived = team.advance()
                 progress.update(len(arrived))
                 for i in arrived:
-                    team.assign(i, next_goal(i, np.delete(team.wanted, i, axis=0)))
+                    team.assign(i, next_goal(i, np.delete(team.requested_goals, i, axis=0)))
                 status = team.replan()
         except KeyboardInterrupt:
             status = Status.INTERRUPTED
-    return team.run(status)
+    return team.result(status)
 
 
-class _Team:
+class _LifelongTeam:
     """Where the robots are, where they are going, and what they have done.
 
     Attributes:
@@ -266,9 +268,9 @@ class _Team:
 
     def __init__(self, problem: Problem, options: BLOptions, plan: Planner | None):
         self.problem, self.options, self.plan = problem, options, plan
-        self.wanted, self.path = problem.starts.copy(), problem.starts[None]
+        self.requested_goals, self.path = problem.starts.copy(), problem.starts[None]
         for i, robot in enumerate(problem.robots):
-            self.wanted[i, : robot.dof] = problem.goals[i, : robot.dof]
+            self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []
@@ -280,23 +282,23 @@ class _Team:
     def plan_from_nothing(self) -> Status:
         """Plan the whole team; SOLVED if it has a path."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
-        solution = plan(self._from_here(self.problem.goals))
+        solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
         if solution.path is None or solution.status is Status.INTERRUPTED:
             return solution.status
-        self.path = solution.path if self.plan else in_rows(self.problem, solution.path, self.length)
+        self.path = solution.path if self.plan else subdivided(self.problem, solution.path, self.length)
         return Status.SOLVED
 
-    def go_on(self) -> list[int]:
+    def advance(self) -> list[int]:
         """Let the robots move until some arrive, or those that wait are to be planned again; who arrives."""
-        is_there = (self.path == self.wanted).all(axis=2)
+        is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there.any(axis=1))
         row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
         row = row if self.plan else min(row, _WINDOW)
         self._done.append(self.path[1 : row + 1])
         self._num_rows, self.path = self._num_rows + row, self.path[row:]
         arrived = np.flatnonzero(is_there[row]).tolist()
-        self.served += [(i, self._num_rows, self.wanted[i].copy()) for i in arrived]
+        self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
     def assign(self, i: int, goal: ArrayLike) -> None:
@@ -306,22 +308,22 @@ class _Team:
         if goal.shape != (self.problem.dof,):
             raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {goal.shape}.")
         dof = self.problem.robots[i].dof  # the heading of a robot that has none is ignored
-        self.wanted[i, :dof], self._since[i] = goal[:dof], self._num_rows
+        self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
 
     def replan(self) -> Status:
         """Plan those that have new goals, or wait; SOLVED if all can go on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
-            self.problem = self._from_here(goals)
+            self.problem = self._current_problem(goals)
         try:
-            status = self.plan_from_nothing() if self.plan else self._replan_those_that_wait()
+            status = self.plan_from_nothing() if self.plan else self._replan_waiting()
         except TimeoutError:
             status = Status.TIME_LIMIT
         self._seconds.append(time.process_time() - began)
         return status
 
-    def run(self, status: Status) -> LifelongRun:
+    def result(self, status: Status) -> LifelongRun:
         """What was done."""
         path = np.concatenate(self._done)
         problem = Problem(
@@ -332,7 +334,7 @@ class _Team:
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
-    def _from_here(self, goals: Goals) -> Problem:
+    def _current_problem(self, goals: Goals) -> Problem:
         """The problem from where the robots are; a goal that is not free, or out of reach, is refused."""
         problem = self.problem
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
@@ -341,7 +343,7 @@ class _Team:
         """The wanted goals, but for robots whose goals overlap others: those keep the ones that they had."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
-        goals, before = self.wanted.copy(), self.problem.goals
+        goals, before = self.requested_goals.copy(), self.problem.goals
         new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         while new:
             i = new.pop()
@@ -354,11 +356,11 @@ class _Team:
                 new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         return goals
 
-    def _replan_those_that_wait(self) -> Status:
+    def _replan_waiting(self) -> Status:
         """Plan robots among the others that have new goals, or are soon to rest short of theirs."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
-        waits = (self.path[-1] != self.wanted).any(axis=1)
+        waits = (self.path[-1] != self.requested_goals).any(axis=1)
         self._num_idle = self._num_idle + 1 if waits.all() else 0
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))
         todo = todo[np.argsort(self._since[todo], kind="stable")].tolist()
@@ -375,8 +377,8 @@ class _Team:
                 todo += sorted({*other[row < _PATIENCE].tolist()} - {*todo})
             timetable.move(i, motion)
         # Plan the robot again that is to be at its goal latest, over its straight way, if it gets there sooner.
-        is_bound = (timetable.path[-1] == self.wanted).all(axis=1)
-        straight = straight_costs(self.path[0], self.wanted, problem.rotation_weights) / self.length
+        is_bound = (timetable.path[-1] == self.requested_goals).all(axis=1)
+        straight = straight_costs(self.path[0], self.requested_goals, problem.rotation_weights) / self.length
         late = np.where(is_bound & (self._num_rows >= self._hurried + _WINDOW), timetable.ends - straight, 0.0)
         i = int(late.argmax())
         if late[i] > _LATE:

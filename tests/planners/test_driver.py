@@ -472,7 +472,7 @@ def test_discs_that_were_to_go_one_after_the_other_set_out_early_when_interrupte
         patched.setattr(driver, "first_step", interrupted)
         solution = planned(problem)
     assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
-    monkeypatch.setattr(driver, "side_by_side", interrupted)
+    monkeypatch.setattr(driver, "with_early_departures", interrupted)
     solution = planned(problem, max_expansions=1)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
