@@ -1,12 +1,11 @@
-"""An independent check of a path. It shares no code with the collision tests that planners call.
+"""An independent check of paths, which shares no code with the collision tests of the planners.
 
-There are two exceptions. Where obstacles touch, and which sides that leaves to free space, the workspace says; and
-which way a robot turns is no finding but part of what a path means, so that all have it from one function.
+There are two exceptions: where obstacles touch and how that divides free space (the workspace says so), and which way
+a robot turns (part of the meaning of a path).
 
-Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
-Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
-middle of a piece bounds it throughout. Bisection goes on until the smallest clearance is known, and every
-piece is shown to be free or not to be.
+Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
+bisected in time: the clearance in the middle of a piece, less the distance that the bodies move, bounds it in the
+whole piece. Bisection ends when the smallest clearance is known and every piece is proven free or in collision.
 """
 
 from collections.abc import Sequence
@@ -25,24 +24,25 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, shorter_turn
 
-_TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
+_TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
+_ENDS = (slice(None, -1), slice(1, None))  # first and last row of each motion
 
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """What is wrong with a path, or that nothing is.
+    """Result of :func:`validate`: the first violation of a path, or its clearance.
 
     Args:
-        valid: Whether the path solves its problem.
-        cost: Its cost, recomputed, in workspace units; NaN if it has none.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the whole
-            path, to 1e-7 of the workspace's extent or twice its ``tolerance``. If the path collides, about minus
-            the depth of the overlap in the first motion that does; NaN if the path is no path.
-        message: The first violation in words; if there is none, who comes closest to what.
-        who: Indices of the robots that the message is about.
-        when: The time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of the first of these robots then.
+        valid: Whether the path solves the problem.
+        cost: Recomputed cost of the path, in workspace units; NaN if the path has a wrong shape or is not finite.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the path, to within
+            1e-7 of the workspace's extent or twice its ``tolerance``, whichever is larger. For a colliding path,
+            about minus the depth of the overlap in the first motion that collides. NaN if the cost is NaN.
+        message: Description of the first violation, or of the closest pair if there is none.
+        who: Indices of the robots in the message.
+        when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
+        where: Position of the first of these robots at that time.
     """
 
     valid: bool
@@ -55,21 +55,21 @@ class ValidationReport:
 
 
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
-    """Check a path on its own merits, whoever made it.
+    """Check whether a path, from any planner, solves a problem.
 
-    The path must begin at the starts and end at the goals exactly (but for headings of robots that have none), be
-    finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
-    straight, at constant max_rates, turning by the shorter way, counterclockwise by half a turn. Touching is allowed.
+    The path must begin at the starts and end at the goals exactly, except for headings of robots without one. It must
+    be finite. All robots must keep clear of obstacles, the bounds and one another during all motions; touching is
+    allowed. Motions are straight, at constant rates, and turn the shorter way (half a turn is counterclockwise).
 
     Args:
-        problem: What the path should solve.
+        problem: The problem that the path should solve.
         path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians.
 
     Returns:
-        The report. A path that is wrong in any way is reported, not raised.
+        The report. An invalid path is reported and raises nothing.
 
     Raises:
-        ValueError: If it is no problem, or a Solution is given in the place of its path.
+        ValueError: If ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
     try:
@@ -101,28 +101,28 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 @dataclass(frozen=True)
 class _Findings:
     clearance: float
-    motion: int  # where the clearance is smallest
-    collision: int | None  # the first motion that collides
+    motion: int  # with the smallest clearance
+    collision: int | None  # first motion that collides
 
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot along a path, and a blocked region or another robot along its own."""
+    """A robot along its path, and the blocked region or another robot along its path."""
 
     who: tuple[int, ...]
     robot: Robot
     path: Float[np.ndarray, "steps dof"]
-    other: Any  # a robot if it has a path, else a region
+    other: Any  # a robot if there is an other_path, else the blocked region
     other_path: Float[np.ndarray, "steps dof"] | None
     tolerance: float
 
     @property
     def reach(self) -> float:
-        """Distance that cores keep for being rounded."""
+        """Sum of the roundings: the distance that the cores must keep."""
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Clearance at some times."""
+        """Return the clearances at some times."""
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
@@ -132,7 +132,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Smallest clearance of motions in which nothing turns, seen from the other body."""
+        """Return the smallest clearances during motions without turns, in the frame of the other body."""
         start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -142,7 +142,7 @@ class _Encounter:
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach <= self.tolerance:
-            # Met, a body is touched or entered: entered if so is what is left of it, peeled. A point is not peeled.
+            # At distance 0 a body is touched or entered. Shrink the one that has an area, and test again.
             met = np.flatnonzero(distance == 0)
             met_hulls, met_others = hulls[met], others[met]
             if (shapely.area(met_others) == 0).any():
@@ -153,7 +153,7 @@ class _Encounter:
 
     @cached_property
     def max_rates(self) -> Float[np.ndarray, "motions"]:
-        """How much the clearance can change in each motion."""
+        """Bound of the change of clearance during each motion."""
         velocity = np.diff(self.path[:, :2], axis=0)
         max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
@@ -163,13 +163,13 @@ class _Encounter:
 
     @cached_property
     def turns(self) -> Any:
-        """Whether something turns, in each motion."""
+        """Whether a body turns, for each motion."""
         turns = _rim_speeds(self.robot, self.path) > 0
         return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
 
     @cached_property
     def findings(self) -> _Findings:
-        """The smallest clearance, and the first collision."""
+        """The smallest clearance, and the first motion that collides."""
         smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
         straight = np.flatnonzero(~self.turns)
         smallest[straight] = self.swept(straight)
@@ -178,7 +178,7 @@ class _Encounter:
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
             bound = middle - self.max_rates[motion] * size / 2
-            # Collided motions are done with; so are pieces that are free and no closer than another.
+            # Drop motions that collide, and pieces that are free and cannot have the smallest clearance.
             unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
             size /= 2
@@ -190,10 +190,10 @@ class _Encounter:
 
     @cached_property
     def first_moment(self) -> float:
-        """When the first collision begins, to a fraction of a step."""
+        """Time at which the first collision begins, in steps."""
         motion = self.findings.collision
         assert motion is not None
-        pieces = [(0.0, 1.0)]  # a stack, the earliest on top
+        pieces = [(0.0, 1.0)]  # a stack, the earliest piece on top
         while pieces:
             begin, size = pieces.pop()
             middle = float(self.clearances(np.array([motion + begin + size / 2]))[0])
@@ -203,30 +203,24 @@ class _Encounter:
                 return motion + begin + size / 2
             if size > _MOMENT:
                 pieces += [(begin + size / 2, size / 2), (begin, size / 2)]
-        return motion + 0.5  # too brief to be pinned down
+        return motion + 0.5  # the collision is too brief to be located
 
     @property
     def depth(self) -> float:
-        """Smallest clearance seen in the first motion that collides."""
+        """Smallest sampled clearance in the first motion that collides."""
         motion = self.findings.collision
         assert motion is not None
         times = np.append(motion + np.linspace(0.0, 1.0, 65), self.first_moment)
         return min(float(self.clearances(times).min()), -self.tolerance)
 
 
-_ENDS = (slice(None, -1), slice(1, None))
-
-
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Every robot with what is blocked, and with all robots but those too far to collide or to be the closest.
-
-    Points never meet points.
-    """
+    """Pair every robot with the blocked region, and with all robots near enough to collide or to be closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
-    # Everything that is not free, out to beyond the path.
+    # The blocked region includes a margin beyond the bounds and the path.
     lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
     hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
     blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
@@ -244,17 +238,14 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
 
 
 def _tolerance(workspace: Workspace) -> float:
-    """Far from the origin, what the workspace calls touching is the coarser of the two."""
+    """Return the check's tolerance: at least twice the workspace's, which grows far from the origin."""
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Of each two robots that can collide a lower bound of their clearance, and who they are, the smallest first.
-
-    It is that of the circles around them, whose centers come closest where their relative motion does to the origin.
-    """
+    """Return lower bounds of the clearances of pairs of robots, from their circumscribed circles, sorted."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -269,7 +260,6 @@ def _least_clearances(
 
 
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
-    """Configurations at times in steps."""
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
     change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
@@ -277,19 +267,17 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> F
 
 
 def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """The turn of each motion."""
     return shorter_turn(path[:-1, 2], path[1:, 2])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """How far turning takes a robot's corners in each motion."""
+    """Return the largest displacement of a robot's corners by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
-    """Vertices of cores."""
     x, y = robot.core.T
     heading = q[:, 2:] if robot.dof == 3 else np.zeros((len(q), 1))
     c, s = np.cos(heading), np.sin(heading)
@@ -297,7 +285,7 @@ def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "
 
 
 def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
-    """Cores as Shapely geometries; a disc's is its center."""
+    """Return a robot's core at some configurations as Shapely geometries; a disc's core is its center."""
     corners = _corners(robot, q)
     if len(robot.core) == 1:
         return shapely.points(corners[:, 0])
@@ -305,7 +293,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
+    """Find the first forbidden passage of a point robot between touching obstacles: robot, time, message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -328,10 +316,10 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """The motions with which a point, which meets a contact in one of them, is on another side than it came from.
+    """Return the motions after which a point, near a contact in ``motion``, is on another side than before.
 
-    Sides are the sectors of free space at the contact. In a disc of half the length of its edges the contact alone
-    joins them, so that what counts is where the point enters the disc, is within it, and leaves it.
+    The sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the
+    contact joins them. So it suffices to know where the point enters the disc, moves in it, and leaves it.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
@@ -368,7 +356,7 @@ def _is_in_sector(
 
 
 def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
-    """Where a motion enters a disc about the origin, or begins if that is within."""
+    """Return where a motion enters a disc around the origin, or its begin if that is in the disc."""
     if begin @ begin <= radius**2:
         return begin
     change = end - begin
@@ -377,7 +365,7 @@ def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], rad
 
 
 def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """The robot that does not begin or end where it should, when, and a message."""
+    """Find a robot that does not begin at its start or end at its goal: robot, time, message."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()
@@ -399,9 +387,8 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
 
 
 def _describe_violation(workspace: Workspace, body: Any) -> str:
-    """What a body runs into."""
     obstacles = np.array(workspace.obstacles, dtype=object)
-    # An obstacle that is gone, an empty one, is at no distance.
+    # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
     distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()

@@ -1,7 +1,8 @@
-"""A team's motions row by row, each row as long as any other, and one robot planned among the others through time.
+"""Planning of one robot among the others through time, on a timetable whose rows all take the same time.
 
-A robot may set out at any row, along the motions of its lattice or straight, at unit speed: a motion takes as many
-rows as it needs at that speed. So robots need not move in step with one another, as they do in the other searches.
+A robot may depart at any row, along a lattice motion or straight, at unit speed. A motion takes as many rows as it
+needs at that speed, so robots do not move in step as in the other searches. References: Silver, "Cooperative
+pathfinding", 2005.
 """
 
 import heapq
@@ -18,8 +19,11 @@ from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots.robot import between
 
-# Where each robot is at each row, and whether another motion fits in between.
-
+ROWS_PER_STEP = 2.8  # a step of the lattice takes 3 rows and a diagonal one 4, close to unit speed
+_WAIT = 3  # rows of a wait; each node is reached at most once in so many rows
+_BATCH = 16  # states expanded at once
+_ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room for another to pass
+_AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
 
 Rows = Int[np.ndarray, "m"]
@@ -31,20 +35,10 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """The motions of a team, row by row, in which those of one robot at a time are exchanged.
+    """The configurations of a team row by row; the motions of one robot at a time can be replaced.
 
-    After the last row all robots stay where they are.
-
-    Args:
-        problem: The robots, and where they move.
-        path: Their configurations, row by row.
-        patience: Rows for which a robot whose motion has ended is in the way of others; after them, it is expected to
-            have moved on. ``inf``: it rests for good.
-        deadline: On the clock of ``time.perf_counter``; tests that pass it raise ``TimeoutError``.
-
-    Attributes:
-        ends: The row at which each robot's motion ends.
-        absent: Robots that are in nobody's way, as their motions are yet to be found.
+    All robots rest after the last row. A robot whose motion has ended blocks others for ``patience`` more rows: then
+    it is expected to have left.
     """
 
     def __init__(
@@ -53,23 +47,23 @@ class Timetable:
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
-        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
-        self.ignored: set[int] = set()
+        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)  # each one's last row
+        self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
         self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
-        """The configurations, row by row, to the one from which on all stay where they are."""
+        """Configurations row by row, up to the row from which on all robots rest."""
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Have a robot make other motions, of any number of rows, and be in the way of others again."""
+        """Replace a robot's motion by one of any number of rows, and stop ignoring the robot."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
             self._trajectory = TeamTrajectory(self.problem.robots, path)
-        whole = self._trajectory.path[:, i].copy()  # a heading that the robot has not stays as it is
+        whole = self._trajectory.path[:, i].copy()  # keeps the heading of a robot without one
         whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
         self._trajectory.move(i, whole)
         self.ends[i] = len(q) - 1
@@ -78,7 +72,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Whether straight motions of one robot, from some rows on for so many rows, keep clear of the others."""
+        """Return whether straight motions of a robot, over ``count`` rows from ``row`` on, meet no other robot."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -88,26 +82,23 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """When others meet a robot that makes a motion and stays where it ends, row by row, and who."""
+        """Return the rows in which others meet a robot that makes a motion and then rests, and these robots."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """For each row the first from there on at which a robot may stay somewhere for so many rows, ``inf`` if none.
-
-        What the last row says holds after it as well.
-        """
-        # Nobody rests there for longer than its patience.
+        """Return, for each row, the first row from it on where a robot may rest for ``rest`` rows, or ``inf``."""
+        # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
+        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]  # last: later rows too
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        """Motions of one robot, each in the row given, that meet others, and whom."""
+        """Return the motions of one robot, each in its row, that meet other robots, and these robots."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
@@ -117,7 +108,7 @@ class Timetable:
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
-    """A path with rows added, none of which takes longer than a length."""
+    """Subdivide the motions of a path so that none takes longer than ``length``."""
     count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
@@ -126,47 +117,24 @@ def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.nda
 
 
 def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
-    """How many rows of a length motions of some costs take."""
+    """Return the number of rows of a length that motions of some costs take."""
     return np.ceil(cost / length - _ROUNDING)
-
-
-# One robot planned among the others: A* over nodes and rows, then straight ways.
-#
-# References:
-#     Silver, "Cooperative pathfinding", 2005.
-
-
-ROWS_PER_STEP = 2.8  # of a lattice: a step takes 3 rows, a diagonal one 4, hardly more than at unit speed
-_WAIT = 3  # rows of a wait; a node is reached once in as many rows
-_BATCH = 16  # states expanded at once
-_ROOM = 4  # radii from walls at which a robot that rests leaves room for another to pass, and to spare
-_AHEAD = 32  # waypoints that a straight way leaves out at max_states
 
 
 def plan_through_time(
     timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
 ) -> tuple[Motion | None, bool]:
-    """The motion that brings a robot to its goal soonest among the others, and whether it does.
+    """Plan the motion that brings a robot to its goal soonest among the others, by A* over nodes and rows.
 
-    Where the search grows too large, or finds no way, it leads but part of the way: to where the robot may rest that
-    is nearest to the goal of all places that were reached.
+    A row takes ``step / ROWS_PER_STEP`` in units of cost. Where the motion ends, the robot must be free to rest for
+    ``rest`` rows, or forever if this is ``inf``. If the search finds no path within ``max_states`` states, the motion
+    ends at the reached place nearest to the goal where the robot may rest.
 
-    Args:
-        timetable: The others. Where the robot stands there is row 0.
-        i: The robot.
-        step: Of its lattice. A row takes it by so much over :data:`ROWS_PER_STEP`, in units of cost.
-        rest: Rows for which it has to be free to stay where it ends, ``inf`` for good.
-        max_states: States to be expanded before it goes but part of its way.
-
-    Returns:
-        Its configurations row by row, None if there is no place where it may rest; and whether the last is its goal.
-
-    Raises:
-        TimeoutError: If the deadline of the timetable's tests passes first.
+    Return the configurations row by row, or None if the robot may rest nowhere, and whether it reaches its goal.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
-    # 1. Rows that each motion takes, and from each node to the goal if the robot is alone.
+    # 1. Find the rows that each motion takes, and the rows from each node to the goal if the robot is alone.
     start, goal = timetable.path[:1, i, : robot.dof], problem.goals[[i], : robot.dof]
     motions = cell_grid(problem.workspace, robot, weight, step, deadline)
     lattice = Lattice(motions.with_terminals(robot, np.zeros(1, int), start, goal), 0)
@@ -179,11 +147,11 @@ def plan_through_time(
     free = timetable.next_free_rows(i, q[lattice.goal], rest)
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """The row at which the goal may be reached at best."""
+        """Return the earliest row at which the goal may be reached."""
         there = row + to_go[node]
         return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
 
-    # 2. A* over nodes and rows.
+    # 2. Search nodes and rows by A*.
     nodes, rows, parents = [lattice.start], [0], [-1]
     waiting = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
@@ -210,8 +178,8 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    # 3. Where the robot does not arrive: the state nearest to the goal at which it may rest, away from walls if it
-    # can, as others have to pass.
+    # 3. If the robot does not arrive, find the reached state nearest to the goal where it may rest. Prefer states
+    # away from walls, so that others can pass.
     found = arrived if arrived >= 0 else None
     at, when = np.array(nodes), np.array(rows)
     if found is None:
@@ -234,10 +202,7 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """The motion along some waypoints, reached at some rows, that goes straight and sets out early where it may.
-
-    A waypoint is reached no later than it was, and the robot may wait there until then.
-    """
+    """Replace timed waypoints by straight motions as early as possible; no waypoint is reached later than before."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:
@@ -255,7 +220,7 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
             at, steps = int(ahead[farthest]), int(count[farthest])
             motion.append(between(motion[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
-                motion[-1][-1] = q[at]  # to the last bit
+                motion[-1][-1] = q[at]  # without rounding
             now += steps
         else:
             wait = min(_WAIT, int(row[at]) - now)

@@ -163,9 +163,9 @@ def test_infinity_prunes_nothing(terms):
 @pytest.mark.parametrize(
     ("terms", "message"),
     [
-        (lambda q: np.full(q.shape[:2], np.nan), "must never return NaN"),
+        (lambda q: np.full(q.shape[:2], np.nan), "must not return NaN"),
         (lambda q: np.zeros(len(q)), r"must return an array of shape \(\d+, 1\)"),
-        (lambda q: "near", "What a heuristic returns must be numbers"),
+        (lambda q: "near", "The result of a heuristic must be numbers"),
     ],
 )
 @pytest.mark.usefixtures("unchecked_types")
