@@ -1,11 +1,9 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
 For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Let ``f`` be the field. Each corner is joined to the two visible corners (or the goal) with the least ``|x -
-y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. The remaining length falls at
-every corner, so no path visits a corner twice, even if the field has local minima.
-
-Other costs and spaces use lookahead: see ``_lookahead.py``.
+corners. Let ``f`` be the field. Each corner is joined to the two visible places (corners or the goal) with the least
+``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a corner
+twice, even if the field has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -90,21 +88,21 @@ def descend(
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
     *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
-    edges between corners. Every segment is tested for visibility. A corner without a path to the goal is joined to
+    edges between corners; every segment is tested for visibility. A corner without a path to the goal is joined to
     all corners that it sees, so each start reaches the goal if that is possible, whatever the field. A path is
     shortest unless the field's error exceeds the difference between the best continuations. Even a field of zeros
-    often yields shortest paths, so arrival and length say little about the quality of a field.
+    often yields shortest paths, so path lengths say little about the quality of a field.
 
     *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
-    field falls most per cost of the step. Then vertices are left out, or shifted to reduce the cost. Local minima
-    that no step leaves are filled by a slower search, which gives up (STUCK) after 1,000 expansions. A step may cross
-    a ridge of the field and pass an obstacle on the other side, possibly with a much longer path. Better fields yield
+    field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. Local minima that
+    no step leaves are filled by a slower search, which gives up (STUCK) after 1,000 expansions. A step may cross a
+    ridge of the field and pass an obstacle on the other side, possibly with a much longer path. Better fields yield
     better paths in less time. With a cost map, each start takes a few tenths of a second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
             space, NumPy or JAX, in units of the motion cost; ``inf`` where unknown. It is evaluated only in the
-            domain of the space; periodic coordinates are wrapped.
+            domain of the space, with wrapped periodic coordinates.
         space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in closed free space.
@@ -116,13 +114,11 @@ def descend(
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
-            free, the field returns NaN or a wrong number of values, or the cost map returns a number that is not
-            positive and finite.
+            free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
     References:
-        Putman et al., Section I ("Extracting optimal trajectories"). The edges are part of the visibility graph: de
-        Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite steps replace gradients as in
-        semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+        Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
+        Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)

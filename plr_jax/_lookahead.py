@@ -123,7 +123,7 @@ class PathCosts:
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
         """Return motion costs by the midpoint rule, on pieces that are bisected until bounds prove the accuracy.
 
-        The relative error is at most ``tolerance``; a jump of the cost map within a motion may add 1/16 of it.
+        The relative error is at most ``tolerance``, plus 1/16 of it if the cost map jumps within a motion.
         """
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
@@ -208,13 +208,12 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Follow the field; return all nodes, the goal first; next nodes, -1 if stuck; and the nodes of the starts."""
+        """Follow the field; return nodes (the goal first), next nodes (-1 if stuck), and the nodes of the starts."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
             y, status = self._step(x, value)
-            # Stuck paths leave the local minimum, if possible, by a chain of nodes.
-            detours = {}
+            detours = {}  # for stuck paths, the nodes that lead out of the local minimum
             for row in np.flatnonzero(status < 0).tolist():
                 chain = self._escape(x[row], value[row] - _FALL * self.shortest)
                 if chain is not None:
@@ -337,8 +336,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
     """Shift inner nodes of paths to the goal to where the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
-    # The previous node of each (-1 for nodes that stay), and its index along the path.
-    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)
+    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
     while len(node):
         node, count = node[onward[node] > 0], count + 1

@@ -203,8 +203,7 @@ def _require_connected(problem: Problem) -> None:
     """Raise ``ValueError`` if a goal is in another component of free space than its start, for the inscribed disc."""
     workspace, labels = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
-        # The tolerance keeps a passage open that is exactly as wide as the disc.
-        radius = max(0.0, robot.inscribed_radius - workspace.tolerance)
+        radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
         if radius not in labels:
             grown = workspace.inflate(radius)
             parts = shapely.get_parts(grown.free_space)

@@ -36,9 +36,9 @@ class ValidationReport:
     Args:
         valid: Whether the path solves the problem.
         cost: Recomputed cost of the path, in workspace units; NaN if the path has a wrong shape or is not finite.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the path, to within
-            1e-7 of the workspace's extent or twice its ``tolerance``, whichever is larger. For a colliding path,
-            about minus the depth of the overlap in the first motion that collides. NaN if the cost is NaN.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot, to within 1e-7 of the
+            workspace's extent or twice its ``tolerance``, if larger. For a colliding path, about minus the depth of
+            the first overlap. NaN if the cost is NaN.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -118,11 +118,10 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        """Sum of the roundings: the distance that the cores must keep."""
+        """Distance that the cores must keep: the sum of the roundings."""
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the clearances at some times."""
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
@@ -318,8 +317,8 @@ def _changes_of_side(
 ) -> list[int]:
     """Return the motions after which a point, near a contact in ``motion``, is on another side than before.
 
-    The sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the
-    contact joins them. So it suffices to know where the point enters the disc, moves in it, and leaves it.
+    Sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the contact
+    joins them, so the point's path in this disc decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])

@@ -14,7 +14,6 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import FreeTest
 
 __all__ = ["ErrorReport", "error_grid", "error_map"]
-
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 _DIGITS = 4  # digits of a printed position, relative to the largest distance
 
@@ -64,7 +63,7 @@ def error_map(
     distance_fn: DistanceFn,
     x: ArrayLike,
 ) -> ErrorReport:
-    """Measure the error of an approximation at given points.
+    """Measure the error of an approximation at given points: ``epsilon_g`` of Putman et al., Section IV-A.
 
     Args:
         approximation: A PLR, or any function of points ``(n, dim)`` that returns ``(n,)`` numbers.
@@ -75,9 +74,6 @@ def error_map(
     Raises:
         ValueError: If ``x`` has another shape or no rows, the distance function is infinite at all points or NaN at
             one, or a function returns a wrong shape.
-
-    References:
-        The error ``epsilon_g`` of Putman et al., Section IV-A, Fig. 2 and Table I.
     """
     x = as_points("x", x)
     if len(x) == 0:

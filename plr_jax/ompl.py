@@ -10,7 +10,6 @@ from plr_jax._arrays import shortened
 from plr_jax.plr import PLR
 
 _CACHED_STATES = 2**16  # planners ask for the bounds of most states repeatedly
-
 Coordinates = Callable[[Any], Sequence[float]]
 
 
@@ -28,16 +27,14 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     Planners call ``motionCostHeuristic(s1, s2)``, a lower bound of the path cost between two states. By the triangle
     inequality, it is the largest of the space's own distance, ``lower(s1) - upper(s2)`` and, for costs that are equal
-    in both directions, ``lower(s2) - upper(s1)``. Here ``lower`` and ``upper`` are the bounds of the PLR, that is, of
-    the distance to its goal.
+    in both directions, ``lower(s2) - upper(s1)``. Here ``lower`` and ``upper`` are the PLR's bounds of the distance
+    to its goal.
 
     The heuristic is *admissible* between free states from which the PLR's goal is reachable. BIT*, BFMT* and SORRT*
     need nothing else, and are the only planners that use it. It is not *consistent*: bounds jump between leaves by up
     to ``2 * plr.max_error``, so a graph search must reopen states. RRT* and Informed RRT* do not benefit: they use
-    ``costToGo``, which cannot be set from Python.
-
-    A call takes tens of microseconds for a new state, and one or two for a cached state. This pays off if motion
-    tests take longer.
+    ``costToGo``, which cannot be set from Python. A call takes tens of microseconds for a new state, and one or two
+    for a cached state. This pays off if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
@@ -55,8 +52,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         ValueError: If ``plr`` is not a PLR with certificates, or ``coordinates`` must be given.
 
     References:
-        Gammell et al., "Batch Informed Trees (BIT*)", 2020. The lower bound (ALT): Goldberg and Harrelson, "Computing
-        the shortest path: A* search meets graph theory", 2005.
+        Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson, "Computing the
+        shortest path: A* search meets graph theory", 2005.
     """
     try:
         from ompl import base
@@ -74,8 +71,6 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         return (lower, upper) if upper < np.inf else (-np.inf, np.inf)
 
     class _BoundedLength(base.PathLengthOptimizationObjective):
-        """Path length, with a heuristic from bounds of the distance to a goal."""
-
         def __init__(self) -> None:
             super().__init__(space_information)
             self._distance, self._both_ways = space_information.distance, self.isSymmetric()
@@ -90,7 +85,6 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
 
 def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
-    """Return a function that reads the coordinates of a space's states."""
     axes = range(dim)
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
         return lambda state: [state[axis] for axis in axes]

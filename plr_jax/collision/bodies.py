@@ -1,13 +1,11 @@
 """Separation tests for convex bodies in straight motion, by bisection of the motions until a kernel is certain.
 
 In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
-Touching is no collision.
-
-A kernel looks for an axis that separates two bodies in a piece of their motions; the axis is fixed, or turns with one
-body. The gap along it deviates from its linear interpolation by at most an eighth of its largest second derivative.
-So the smaller gap at the two ends of the piece, less this *bulge*, is a lower bound. Each bisection divides the bulge
-by four. It is 0 if nothing turns, and the result is then exact. A piece that is still uncertain after the last
-bisection counts as a collision.
+Touching is no collision. A kernel looks for an axis that separates two bodies in a piece of their motions; the axis
+is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most an eighth of its
+largest second derivative. So the smaller gap at the two ends of the piece, less this *bulge*, is a lower bound. Each
+bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. A piece that is still
+uncertain after the last bisection counts as a collision.
 """
 
 import math
@@ -24,7 +22,6 @@ from plr_jax.robots.robot import Robot, shorter_turn
 _MAX_BISECTIONS = 12
 _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clock; bounds the temporary memory
 _FEW = 24  # corners up to which the lowest one is searched exhaustively
-
 Column: TypeAlias = Float[np.ndarray, "n"]
 Columns: TypeAlias = tuple[Column, Column]
 
@@ -82,8 +79,7 @@ def bisect(
     A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
     """
     k, m = a.num_corners, b.num_corners
-    # Keeping a positive distance takes every pair of corners.
-    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))
+    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # a distance takes all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
     waiting = [(a, b, np.arange(len(a.x)), 0)]
     while waiting:
@@ -107,8 +103,8 @@ def bisect(
 def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
     """Return the bulges of gaps along an axis that turns with ``a``, and along one that turns with ``b``.
 
-    They cover the motion of the offset and the turn of the other body, in the frame of the axis. A ``rim`` is a
-    body's circumscribed radius.
+    They cover the offset and the turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed
+    radius.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
@@ -134,9 +130,8 @@ Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Kernel for convex bodies, given by counterclockwise vertices ``(2, vertices)`` in their own frames.
 
-    It tries the normals of all sides, which turn with their body, and the normal of the relative motion. If a
-    distance must be kept, it also tries the line through the two nearest points. This axis separates corners from
-    corners, and makes the result exact if nothing turns.
+    It tries the normals of all sides, which turn with their body, and the normal of the relative motion. If ``reach``
+    is positive, it also tries the line through the nearest points, which makes the result exact if nothing turns.
     """
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
@@ -171,7 +166,6 @@ def _heading(body: MovingBodies, end: float) -> Columns:
 
 
 def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
-    """Return the second reference point relative to the first, at one end of each motion."""
     return b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
 
 
@@ -185,7 +179,7 @@ def _side_gaps(p: Corners, q: Corners) -> Sides:
 
 
 def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
-    """Return the least product of a body's corners with each direction."""
+    """Return the least scalar product of a body's corners with each direction."""
     num_corners, n = q.shape[1:]
     stride = 1 << ((num_corners - 1) // _FEW).bit_length()
     heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
@@ -212,8 +206,8 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     """Return the direction in which two bodies are nearest to one another, and their distances at both ends.
 
-    The Minkowski difference of disjoint bodies, swept by a translation, is nearest to the origin on one of its edges.
-    This is a side of one body less a corner of the other, at either end, or the path of a corner less a corner.
+    The swept Minkowski difference is nearest to the origin on an edge: a side less a corner, or a corner's path less
+    a corner.
     """
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
@@ -255,9 +249,8 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
-        # Signed distance of the point to the box, negative inside.
         beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
-        distances.append(
+        distances.append(  # signed distance to the box, negative inside
             np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
         )
     bulge, _ = rotation_bounds(a, b, *b.size)  # a point has no rim

@@ -33,7 +33,6 @@ from plr_jax.robots.robot import Robot
 _CHUNK = 1 << 13  # distances of circles at a time, so that temporaries stay in the processor's cache
 _MOST = 1 << 18  # pairs of motions whose circles are compared at a time
 _CHUNK_PAIRS = 1 << 13  # pairs of motions tested exactly at a time
-
 OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
@@ -69,7 +68,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return rows, and robots near robot ``i`` while it stays in a circle and they make a motion of the path."""
+        """Return rows and robots that may meet robot ``i``, which is in ``around[row]`` during ``motion[row]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)

@@ -14,7 +14,6 @@ _MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # batch sizes, which bound t
 _SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against single voxels
 _NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
 _LEAST_TIME = 1e-300  # absolute slack for times that may have lost digits by underflow
-
 Booleans = Bool[np.ndarray, "n"]
 Which = Int[np.ndarray, "m"]
 
@@ -22,7 +21,7 @@ Which = Int[np.ndarray, "m"]
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
     """Return whether a blocked voxel is nearer than a radius to boxes, exact up to rounding.
 
-    With ``lo`` and ``hi`` swapped, return whether one blocked voxel is nearer than the radius to all points of a box.
+    With ``lo`` and ``hi`` swapped: whether one blocked voxel is nearer than the radius to all of a box.
     """
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
@@ -92,13 +91,11 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
         motion, begin, a, b = motion[near], begin[near], a[:, near], b[:, near]
         middle = (a + b) / 2
         keeps_off[motion[blocked_within(grid, middle, middle, radius)]] = False
-
         short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & keeps_off[motion]
         of, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
             meets = squared_distances(grid, q0[:, of[piece]], q1[:, of[piece]], voxel) < radius**2
             keeps_off[of[piece[meets]]] = False
-
         halved = keeps_off[motion] & ~short
         motion, begin, share = motion[halved], begin[halved], share / 2
         motion, begin = np.append(motion, motion), np.append(begin, begin + share)
@@ -119,10 +116,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Return squared distances of straight motions to voxels.
-
-    Along a motion the square is convex, and a parabola between crossings of the planes of faces.
-    """
+    """Return each motion's least squared distance to its voxel; the square is convex and piecewise parabolic."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -155,12 +149,11 @@ def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
 
 
 class _Traversal:
-    """Traversal of voxels along many motions at once, one crossing of faces per step; exact.
+    """Exact traversal of voxels along many motions at once, one crossing of faces per step.
 
     A motion within a face or an edge touches several voxels at once. So the state of a motion is the set of voxels,
     among the ``2**dim`` around its current point, that it can be in. It cannot pass between blocked voxels that share
-    only an edge or a corner. References: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
-    1987.
+    only an edge or a corner. See Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", 1987.
     """
 
     def __init__(self, grid: VoxelGrid, q0: Coordinates, q1: Coordinates):

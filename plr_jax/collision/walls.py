@@ -34,15 +34,14 @@ _EDGES_PER_POINT = 128  # estimated work for a point, whose visibility is tested
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128  # cells along the longer side for a point
 _PURPOSE = "all motions were tested"
-
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
 class MotionTest:
     """A test whether straight motions of a robot are free of obstacles and within the bounds; touching is free.
 
-    Between two configurations, the robot moves at constant velocity and turns at a constant rate, the shorter way.
-    Past the deadline, on the clock of ``time.perf_counter``, the constructor and the tests raise ``TimeoutError``.
+    The position moves at constant velocity, and the heading turns at a constant rate, the shorter way. The
+    constructor and the tests raise ``TimeoutError`` past the deadline, on the clock of ``time.perf_counter``.
     """
 
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
@@ -56,8 +55,7 @@ class MotionTest:
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
         x, y = (lo + (np.arange(num) + 0.5) * cell for lo, num in zip(workspace.bounds.lo, self._shape, strict=True))
         centers = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
-        # The motions of a point may be long, as the workspace finds the walls near them.
-        self._longest = max(2 * cell, size) if size > 0 else np.inf
+        self._longest = max(2 * cell, size) if size > 0 else np.inf  # the workspace finds a point's walls
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
         # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
         segments: Any = shapely.linestrings(workspace.boundary.segments)
@@ -77,8 +75,8 @@ class MotionTest:
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
         """Return whether motions from ``q0`` to ``q1`` are free all along, up to ``workspace.tolerance``.
 
-        The test is exact for points and discs, and if nothing turns. A turning robot may be rejected within about
-        1e-7 of its size from a wall, but never passes a wall. The heading of a robot without one may be included.
+        Exact for points, discs and motions without turns. A turning robot may be rejected within about 1e-7 of its
+        size from a wall, but never passes a wall. Robots without a heading ignore a third coordinate.
         """
         dof = (2, 3)[self.robot.dof - 2 :]
         for name, q in (("q0", q0), ("q1", q1)):
@@ -117,8 +115,7 @@ class MotionTest:
         may_fit = clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance
         unsure = np.flatnonzero(~clear & may_fit)
         clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
-        # A body that no wall cuts is either in free space or outside. Test its center, as the reference point may
-        # touch a wall from either side.
+        # A body that no wall cuts is inside or outside. Test its center: the reference point may touch a wall.
         lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
         (u, v), heading = self.robot.core.mean(axis=0), pieces.theta[lost] + 0.5 * pieces.turn[lost]
         c, s = np.cos(heading), np.sin(heading)

@@ -21,7 +21,6 @@ from plr_jax._types import (
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
-
 # Few sizes, as a jitted function compiles once per size; close together if large, as padding costs oracle time.
 _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
@@ -42,8 +41,8 @@ class SumOverRobots:
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return the estimated cost-to-go of joint configurations ``(n, robots, dof)``, in workspace units.
 
-        The result ``(n,)`` is never NaN; it is ``inf`` where a robot has no estimate. A wrong shape or number of
-        robots raises ``ValueError``.
+        The result ``(n,)`` is never NaN, and ``inf`` where a robot has no estimate. ``ValueError`` for another shape
+        or team size.
         """
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.

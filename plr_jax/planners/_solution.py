@@ -44,8 +44,8 @@ class Stats:
     Args:
         num_nodes: Joint configurations stored: nodes of the searches, or samples of a sampling-based planner.
         num_expansions: Expansions of nodes; for LaCAM, attempted steps of the team.
-        num_children_scored: Scored children. Best-first search counts joint children, including partial ones of the
-            first robots only; LaCAM counts motions of single robots.
+        num_children_scored: Scored joint children, including partial ones of the first robots; for LaCAM, motions of
+            robots.
         num_children_valid: Children found free of collision; for LaCAM, steps found.
         seconds: Wall-clock seconds of each phase.
         history: Seconds since the start, and cost, of each new best path.
@@ -180,18 +180,18 @@ class Solution:
         Version 1 is one JSON object with these keys; other keys are ignored. ``null`` stands for infinity. Lengths
         are in workspace units, angles in radians::
 
-            "format":         "plr_jax solution"
-            "version":        1
-            "status":         name of a Status, such as "SOLVED"
-            "cost":           number, or null if there is no path; likewise "makespan"
-            "lower_bound":    number or null; likewise "motions_factor"
-            "path":           [[[x, y], ...], ...]: per row, one configuration per robot ([x, y, heading] if any
-                              robot has a heading); null if there is no path
-            "times":          [time, ...], one per row, from 0 to the makespan; null if there is no path
-            "stats":          {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
-                               "num_children_valid": count, "num_bytes": count,
-                               "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...],
-                               "found_by": name of a search, or ""}
+            "format":      "plr_jax solution"
+            "version":     1
+            "status":      name of a Status, such as "SOLVED"
+            "cost":        number, or null if there is no path; likewise "makespan"
+            "lower_bound": number or null; likewise "motions_factor"
+            "path":        [[[x, y], ...], ...]: per row, one configuration per robot ([x, y, heading] if any robot
+            has
+                           a heading); null if there is no path
+            "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
+            "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
+                            "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
+                            "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
 
         Returns:
             The saved solution, with every float64 restored exactly. Its ``samples`` are empty because the file omits

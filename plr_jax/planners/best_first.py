@@ -30,7 +30,6 @@ _STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
 _WIDTH_GROWTH = 8  # growth of the beam width when a node's stored successors are used up
 _MAX_WIDTH = 1 << 16
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
-
 Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robot's lattice
 
 
@@ -49,8 +48,8 @@ def best_successors(
 ) -> Successors:
     """Find the best children of joint configurations by beam search, adding one robot at a time.
 
-    Before the next robot joins, the product of the earlier robots' primitives is cut to its ``width`` best
-    collision-free members. The ``terms`` score each robot's primitives by node; they are ``inf`` where blocked.
+    Before the next robot joins, the joint primitives of the earlier robots are cut to the ``width`` best. The
+    ``terms`` score each robot's primitives by node; they are ``inf`` where blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)

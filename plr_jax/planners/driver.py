@@ -42,7 +42,7 @@ _FINEST = 1 / 2048  # finest step that is tried
 _COARSEST = 1 / 4  # coarsest step, for problems that otherwise exceed the memory or the motion tests
 _CROWD_WIDTH = 4.5  # a crowd's robots side by side are wider than this many square roots of the free area
 _MAX_CROWD_GROWTH = 1.75  # largest growth of the first step for a crowd
-_PACKED = 1 / 2  # share of the free area; packed robots need more if each has the square of the narrowest one
+_PACKED = 1 / 2  # share of the free area that packed robots exceed, each in a square as wide as the narrowest
 _MAX_FIRST_TESTS = 720_000  # motion tests for the first lattices
 _DETOUR = 1.5  # a lattice path longer than this many straight lines suggests a passage that the lattice closes
 _LEAST_SAVING = 0.05  # share of the path costs that a finer first lattice must save
@@ -73,16 +73,16 @@ def bl_plan(
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, as a sum over robots:
             :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`. None, the best choice for a single plan:
             each robot's cost-to-go along its lattice. No estimate may be NaN; ``inf`` prunes nothing, and negative
-            ones count as 0. If ``is_lower_bound`` is true, the value at the starts bounds the cost of all paths. A
-            poor heuristic, such as straight lines among walls, may prevent a solution.
+            ones count as 0. If ``is_lower_bound`` is true, the value at the starts is a lower bound of all path
+            costs. A poor heuristic, such as straight lines among walls, may prevent a solution.
         options: How to search, and when to stop.
 
     Returns:
         The best path found, with a lower bound of all path costs and a status. SOLVED: the cost is within
-        ``cost_factor`` of the lower bound. EXHAUSTED: no search is left on the finest lattice (the given ``step``, or
-        1/2048 of the bounds), which proves nothing about finer lattices. Otherwise a limit, or INTERRUPTED after
-        Ctrl-C. Any status except SOLVED may come without a path. Results are deterministic unless the time limit ends
-        a search.
+        ``cost_factor`` (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. Otherwise a limit, or
+        INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are deterministic unless
+        the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -92,10 +92,10 @@ def bl_plan(
     1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
        one is found.
     2. Robots move on lattices with exact starts and goals. Two searches alternate, on finer and finer lattices, until
-       one succeeds. LaCAM moves the whole team one step at a time: by PIBT, each robot takes its best free motion and
-       pushes others out of its way. It is fast in the open and at doors, even for a hundred robots. Best-first
-       search, after Barraquand and Latombe, expands joint configurations as A* does, and claims each only once. It
-       finds coordinated maneuvers, such as a swap in a tight place.
+       one succeeds. LaCAM moves the whole team one step at a time: by priority inheritance (PIBT), each robot takes
+       its best free motion and pushes others out of its way. It is fast in the open and at doors, even for a hundred
+       robots. Best-first search, after Barraquand and Latombe, expands joint configurations as A* does, and claims
+       each only once. It finds coordinated maneuvers, such as a swap in a tight place.
     3. Robots are replanned along the lattices, one by one among the others. Then straight shortcuts, and deviations
        within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
@@ -120,7 +120,6 @@ def bl_plan(
                     status = run.search_until_limit()
         finally:  # also if interrupted
             if run.path is not None and run.found_by == _SEQUENTIAL:
-                # Let robots that move one after the other depart as early as they can.
                 run.path = with_early_departures(problem, run.path)
                 run.history[-1] = (run.history[-1][0], path_cost(problem, run.path))
     except KeyboardInterrupt:
@@ -266,7 +265,6 @@ class Run:
                 ):
                     break
                 finer = build_lattices(problem, half, self.test)
-                # The cost is infinite if a robot cannot reach its goal on the finer lattice.
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break
                 joint = finer

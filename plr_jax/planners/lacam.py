@@ -3,12 +3,11 @@
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
 priorities. A robot takes its best primitive that keeps clear of all chosen ones. Robots that can then no longer stay
 in place must make way: they choose next, and if one of them fails, the primitive is given up. Every robot without a
-choice can thus stay in place, so that without constraints a step always exists. Okumura's robots are points on a
-graph. Here they have a shape, and one robot may ask several others to make way.
+choice can thus stay in place, so that without constraints a step always exists. Robots have a shape here, so one
+robot may ask several others to make way.
 
-References:
-    Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022; Okumura,
-    "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
+Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
 """
 
 from collections import deque
@@ -27,7 +26,6 @@ from plr_jax.planners.lattice import JointLattice
 Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
 JointNode: TypeAlias = Int[np.ndarray, "robots"]  # the lattice node of each robot
 Robots: TypeAlias = Int[np.ndarray, "m"]
-
 _MOST = 1 << 21  # pairs of motions tested at once, between two checks of the clock
 _FEW_PAIRS = 64  # up to so many pairs, testing is as fast as a lookup
 _ALIGNED = 1 / 16  # share of the tolerance within which a configuration counts as the center of a cell
@@ -105,7 +103,7 @@ class TeamMoves:
         cells: Int[np.ndarray, "m 2"],
         neighbors: list[list[tuple[int, list[Bits]]]],
     ) -> None:
-        """Add neighbors of one kind at cell centers, whose collisions depend only on the offset in ``cells``."""
+        """Add pairs of neighbors of one kind at cell centers; collisions depend only on their offset in cells."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -233,8 +231,8 @@ class LaCAM:
     """Depth-first search in which the newest node makes one more step of the team, until all are at their goals.
 
     The first step of a node is unconstrained. Each later step constrains one more robot, in the order of priorities,
-    to another primitive. So all steps are tried in the end, though this is rarely needed. A step to a known node puts
-    that node on top of the stack again.
+    to another primitive; in the end all steps are tried. A step to a known node puts that node on top of the stack
+    again.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):

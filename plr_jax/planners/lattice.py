@@ -2,12 +2,11 @@
 
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. The representative of a cell
 is its center if that is free, else its free sample with the largest clearance; a passage narrower than a cell is thus
-still found. A primitive is a motion from the representative of a cell to that of a neighboring cell.
+still found. A primitive is a motion between representatives of neighboring cells.
 
-Robots of the same shape and rotation weight share one table of motions. Start and goal of a robot are additional
-nodes of the table, so that the ends of every path are exact. For this robot, they replace the representatives of
-their cells. If both lie in one cell, motions into the cell lead to the goal, and an additional primitive connects the
-two.
+Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
+nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their cells. If
+both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
 """
 
 import math
@@ -28,8 +27,7 @@ from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
-# Primitives besides staying, as offsets (columns, rows, turns) in cells: to the eight neighbors, and a turn either
-# way. Robots without a heading do not turn.
+# Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
 PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
 
@@ -40,7 +38,6 @@ _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
-
 Cells: TypeAlias = Int[np.ndarray, "n"]
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
@@ -63,11 +60,9 @@ class Kind:
     """Robots of one kind: their shared table of motions, and the same motions as edges of a graph.
 
     Nodes are the representatives of the ``num_cells`` free cells, then the starts and goals, which no primitive of
-    the table leads to. Primitive 0 stays in place. A primitive that leaves the lattice or hits an obstacle leads back
-    to its own node at infinite cost.
-
-    Edges shared by all robots come first, then the edges into each robot's start and goal (``terminal_edges``), then
-    edge ``num_edges``, which leads nowhere at infinite cost.
+    the table leads to. Primitive 0 stays in place. A primitive that leaves the lattice or hits an obstacle leads to
+    its own node at infinite cost. Edges shared by all robots come first, then the edges into each robot's start and
+    goal (``terminal_edges``), then edge ``num_edges``, which leads nowhere at infinite cost.
     """
 
     def __init__(
@@ -148,8 +143,7 @@ class Kind:
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Return the least cost from each node to the goals of some robots, ``inf`` where unreachable."""
-        # Search backward from an extra node per goal, whose edges lead into the goal. The representative of a start's
-        # cell may be passed, although the robot itself never visits it.
+        # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
         num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
         own = np.concatenate([self.terminal_edges[row] for row in rows])
@@ -270,8 +264,7 @@ class CellGrid(NamedTuple):
         cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
         differ = straight_costs(starts, goals, 1.0) > 0
         motions, (occupied, first) = self, np.unique(cells, return_index=True)
-        # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell, as the
-        # opposite of an offset may not be a primitive.
+        # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell.
         missing = ~self.free[occupied]
         if missing.any():
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})

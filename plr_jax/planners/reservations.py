@@ -22,16 +22,11 @@ _EDGE_BYTES, _NODE_BYTES = 2, 8  # memory per step of an edge, and of a node whi
 _ROUNDING = 1e-9
 _GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
 _NEIGHBORHOOD = 5  # robots in a neighborhood
-
 Edges: TypeAlias = Int[np.ndarray, "_"]
 
 
 class ReservationTable:
-    """The path of each robot on its lattice, and the number of robots that block each edge at each step.
-
-    Waiting costs nothing. The table has more steps than the path needs, so that robots have time to wait.
-    ``TimeoutError`` means that time or memory ran out before all paths were reserved.
-    """
+    """The path of each robot on its lattice, and the number of robots that block each edge at each step."""
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
@@ -44,7 +39,10 @@ class ReservationTable:
         self.kind_and_row = {
             int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
         }
-        size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
+        size, dtype = (
+            len(state) - 1,
+            np.min_scalar_type(-2 * state.shape[1]),
+        )  # spare rows let robots wait, at no cost
         self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
         # For each kind, a tree of the node positions, and the edges sorted by begin node.
         self._near: list[tuple[KDTree, Edges, Edges]] = []

@@ -2,11 +2,10 @@
 
 Each robot follows a shortest route, straight from corner to corner, while the others stand at their starts or goals.
 An order is chosen in which no robot blocks another. If there is none, as for two robots that swap places, one first
-steps aside into a corner. Afterwards robots may depart as early as they can. As arrays are small, the number of NumPy
-calls dominates the run time.
+steps aside into a corner. Arrays are small, so the number of NumPy calls dominates the run time.
 
-References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg, Snoeyink, Lin and Manocha,
-"Centralized path planning for multiple robots: optimal decoupling into sequential plans", 2009.
+References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
+planning for multiple robots: optimal decoupling into sequential plans", 2009.
 """
 
 from functools import cached_property, lru_cache
@@ -27,9 +26,8 @@ _LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corn
 _STILL = 1e-200  # replaces a velocity of 0 as a divisor
 _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
 _DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
-
 Points = Float[np.ndarray, "n 2"]
-Way = list[complex]
+Route = list[complex]
 Path = Float[np.ndarray, "steps robots dof"]
 Retimed = Float[np.ndarray, "rows robots dof"]
 TouchDistances = list[list[float]]
@@ -40,8 +38,7 @@ class CornerRoadmap:
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
-        # Half the tolerance keeps rounding errors from turning contact into collision.
-        self._reach = radius - workspace.tolerance / 2
+        self._reach = radius - workspace.tolerance / 2  # so that rounding never turns contact into collision
         begin, end = boundary.segments.transpose(1, 0, 2)
         length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
         # The center must avoid a box around each wall, aligned with the wall, and a circle around each convex corner.
@@ -86,12 +83,12 @@ class CornerRoadmap:
         columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
         return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
-    def between(self, u: int, v: int) -> Way:
+    def between(self, u: int, v: int) -> Route:
         """Return the shortest route from corner ``u`` to corner ``v``."""
-        way = [v]
-        while way[-1] != u:
-            way.append(int(self._previous[u, way[-1]]))
-        return [self.places[corner] for corner in reversed(way)]
+        route = [v]
+        while route[-1] != u:
+            route.append(int(self._previous[u, route[-1]]))
+        return [self.places[corner] for corner in reversed(route)]
 
     @cached_property
     def places(self) -> list[complex]:
@@ -126,14 +123,14 @@ class Routes(NamedTuple):
     home: Float[np.ndarray, "corners"]  # cost of the straight motion from each corner to the goal
     to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
-    def way(self) -> Way | None:
+    def shortest(self) -> Route | None:
         """Return the shortest route from start to goal, or None."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
-        return [self.start, *self.way_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
+        return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
-    def way_home(self, corner: int) -> Way:
+    def route_home(self, corner: int) -> Route:
         """Return the shortest route from a corner to the goal."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
@@ -141,7 +138,7 @@ class Routes(NamedTuple):
 def sequential_path(problem: Problem) -> Path | None:
     """Return a path on which one robot after the other moves from corner to corner, or None.
 
-    It exists only for up to 8 discs, larger than the tolerance and without headings, among up to 48 walls.
+    Only teams of up to 8 discs, larger than the tolerance and without headings, among up to 48 walls have such paths.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
@@ -153,26 +150,23 @@ def sequential_path(problem: Problem) -> Path | None:
         all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[alike], problem.goals[alike])
         found.update(zip(alike, all_routes, strict=True))
     all_routes, reach = [found[i] for i in range(len(robots))], _touch_distances(problem)
-    ways = [way for routes in all_routes if (way := routes.way())]
-    if len(ways) < len(robots):
+    chosen = [route for routes in all_routes if (route := routes.shortest())]
+    if len(chosen) < len(robots):
         return None
-    # Positions of the robots, waiting robots, robots that stepped aside, and rows of the path.
     at = [routes.start for routes in all_routes]
-    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]
+    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]  # aside: robots that have stepped aside
 
-    def clears(i: int, way: Way, ignored: tuple[int, ...]) -> bool:
-        """Return whether a robot's route keeps clear of all robots where they stand, except the ignored ones."""
-        return not any(_comes_within(way, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
+    def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
+        return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
         """Return whether a robot can go to its goal and will block no waiting robot there."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
-        return clears(i, ways[i], ignored) and not any(_comes_within(ways[j], goal, reach[i][j]) for j in others)
+        return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
 
-    def go(i: int, way: Way) -> None:
-        """Move one robot along a route."""
-        for place in way[1:]:
+    def go(i: int, route: Route) -> None:
+        for place in route[1:]:
             if place != at[i]:
                 at[i] = place
                 rows.append(at.copy())
@@ -187,15 +181,15 @@ def sequential_path(problem: Problem) -> Path | None:
         for corner in np.argsort(detours, kind="stable").tolist():
             if detours[corner] == np.inf:
                 break
-            if _comes_within(ways[j], routes.roadmap.places[corner], reach[i][j]):
+            if _comes_within(chosen[j], routes.roadmap.places[corner], reach[i][j]):
                 continue
             first = int((routes.out + routes.roadmap.cost[corner]).argmin())
-            out, home = [routes.start, *routes.roadmap.between(first, corner)], routes.way_home(corner)
+            out, home = [routes.start, *routes.roadmap.between(first, corner)], routes.route_home(corner)
             if clears(i, out, (i,)) and not _comes_within(home, all_routes[j].goal, reach[i][j]):
                 go(i, out)
                 aside.add(i)
-                ways[i] = home
-                go(j, ways[j])
+                chosen[i] = home
+                go(j, chosen[j])
                 waiting.remove(j)
                 return True
         return False
@@ -204,15 +198,15 @@ def sequential_path(problem: Problem) -> Path | None:
     while waiting:
         ready = next((i for i in waiting if is_ready(i, i)), None)
         if ready is not None:
-            go(ready, ways[ready])
+            go(ready, chosen[ready])
             waiting.remove(ready)
         elif not any(make_way(i, j) for i, j in permutations(waiting, 2)):
             return None
     return np.array(rows)[..., None].view(np.float64)
 
 
-def _comes_within(way: Way, place: complex, reach: float) -> bool:
-    for begin, end in pairwise(way):
+def _comes_within(route: Route, place: complex, reach: float) -> bool:
+    for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2
         share = (offset * rate.conjugate()).real / squared if squared > 0 else 0.0
@@ -232,15 +226,15 @@ def with_early_departures(problem: Problem, path: Path) -> Retimed:
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
     reach = np.array(_touch_distances(problem))[first_of, second_of]
-    times, ways = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
+    times, routes = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
     result, row = path[:1], 0
     for i, motions in groupby(mover.tolist()):
-        way = path[row : row + len(list(motions)) + 1, i]
-        row += len(way) - 1
-        since = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
-        earlier, before = times[i], ways[i]
-        ways[i] = np.concatenate([before, way])
+        route = path[row : row + len(list(motions)) + 1, i]
+        row += len(route) - 1
+        since = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+        earlier, before = times[i], routes[i]
+        routes[i] = np.concatenate([before, route])
         # Departure at the last time is always free: all others then stand as in the given path.
         first, last = earlier[-1], max(arrival[-1] for arrival in times)
         num_early = int(min(_DEPARTURES, np.ceil((last - first) / reach.min(initial=np.inf))))
@@ -248,7 +242,9 @@ def with_early_departures(problem: Problem, path: Path) -> Retimed:
             times[i] = np.append(earlier, depart + since)
             # Rows for all robots, at each time when one of them turns, departs or arrives.
             when = np.unique(np.concatenate(times))
-            columns = [np.interp(when, at, way[:, k]) for at, way in zip(times, ways, strict=True) for k in (0, 1)]
+            columns = [
+                np.interp(when, at, route[:, k]) for at, route in zip(times, routes, strict=True) for k in (0, 1)
+            ]
             result = np.stack(columns, axis=1).reshape(len(when), num, 2)
             x, y = np.moveaxis(result[:, first_of] - result[:, second_of], 2, 0)
             gaps = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))

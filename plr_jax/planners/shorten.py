@@ -27,7 +27,6 @@ Corridor = Float[np.ndarray, "steps _ dof"]  # robots of different kinds have pa
 Costs = Float[np.ndarray, "motions size size"]
 CostsOfRobot = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
-
 _LONGEST = 32  # most steps that a shortcut spans
 _STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
 _LEAST_SAVING = 1e-4  # least share of the cost that a shortcut must save
@@ -46,9 +45,8 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     may_gain = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # [i, j]: robot j blocked a shortcut of i
-    # First and last rows of all motions and possible shortcuts.
     begin, place = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
-    end, gains = begin + 1 + place, True
+    end, gains = begin + 1 + place, True  # begin and end: rows of all motions and possible shortcuts
     with suppress(TimeoutError):
         while gains:
             for i in range(len(may_gain)):
@@ -72,8 +70,7 @@ def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
     """Return the rows on a robot's cheapest route of shortcuts, and the robots that blocked shortcuts."""
-    # 1. Find shortcuts that save cost and hit no wall. Exclude those from or to a contact of walls, which may lead to
-    # the other side of the contact; the ends of the path are allowed.
+    # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
     at_contact[[0, -1]] = False
@@ -110,11 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions by the cheapest ones in corridors, for each robot, and each two robots that touch.
-
-    Configurations of the pattern are ``width`` apart at first. The corridors become narrower when they gain little,
-    until the deadline of the test passes.
-    """
+    """Replace motions of each robot, and of touching pairs, by the cheapest ones in corridors of falling width."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
@@ -131,7 +124,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
             diagonal = not diagonal
             before, cost = cost, path_cost(problem, trajectory.path)
             if before - cost <= _CORRIDOR_GAIN * before:
-                width /= 2
+                width /= 2  # narrow the corridors
     return trajectory.path
 
 
@@ -164,10 +157,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the robots' cheapest motions within their corridors in some rows, with both ends fixed.
-
-    Only motions that may be part of a cheaper sequence are tested.
-    """
+    """Return the robots' cheapest motions within their corridors in some rows, with both ends fixed."""
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -180,8 +170,7 @@ def _shortened_in_corridors(
     for i, corridor, reached, cost, total, alone in zip(
         robots, corridors, around, costs, through, least, strict=True
     ):
-        # The robot's own motions keep their costs. Other motions cost inf unless they may gain, hit no wall, and hit
-        # no robot except those that are shortened with it.
+        # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
         own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)

@@ -1,8 +1,7 @@
 """Planning of one robot among the others through time, on a timetable whose rows all take the same time.
 
 A robot may depart at any row, along a lattice motion or straight, at unit speed. A motion takes as many rows as it
-needs at that speed, so robots do not move in step as in the other searches. References: Silver, "Cooperative
-pathfinding", 2005.
+needs at that speed, so robots do not move in step as in the other searches (Silver, "Cooperative pathfinding", 2005).
 """
 
 import heapq
@@ -25,7 +24,6 @@ _BATCH = 16  # states expanded at once
 _ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room for another to pass
 _AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
-
 Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, "meetings"], Int[np.ndarray, "meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
@@ -37,8 +35,8 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 class Timetable:
     """The configurations of a team row by row; the motions of one robot at a time can be replaced.
 
-    All robots rest after the last row. A robot whose motion has ended blocks others for ``patience`` more rows: then
-    it is expected to have left.
+    All robots rest after the last row. A robot at rest blocks others for ``patience`` more rows: then it is expected
+    to leave.
     """
 
     def __init__(
@@ -147,7 +145,6 @@ def plan_through_time(
     free = timetable.next_free_rows(i, q[lattice.goal], rest)
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Return the earliest row at which the goal may be reached."""
         there = row + to_go[node]
         return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
 
@@ -178,8 +175,7 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    # 3. If the robot does not arrive, find the reached state nearest to the goal where it may rest. Prefer states
-    # away from walls, so that others can pass.
+    # 3. Else find a state near the goal where it may rest, preferably away from walls, so that others can pass.
     found = arrived if arrived >= 0 else None
     at, when = np.array(nodes), np.array(rows)
     if found is None:

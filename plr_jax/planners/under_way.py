@@ -29,7 +29,6 @@ from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Time
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
 NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
 Planner: TypeAlias = Callable[[Problem], Solution]
-
 _DEFAULT_OPTIONS = BLOptions()
 _MOST_STATES = 20_000  # most states expanded for one robot
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned

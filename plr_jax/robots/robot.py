@@ -17,7 +17,6 @@ _ROUNDING = 1e-12  # share of the body's size
 _HALF_TURN = 0.5 + 1e-10  # of a full turn; absorbs the rounding of headings up to 1e5
 _MOST_VERTICES = 1_000
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
-
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
 Rows: TypeAlias = Int[np.ndarray, "n"]
@@ -31,8 +30,7 @@ class Robot:
     follow from them. Robots of equal shape must be equal and have the same hash, as frozen dataclasses do.
 
     The *reference point* is the origin of the core's frame. A configuration holds its position, and the heading by
-    which the body turns about it. It must lie in the body, so that it is never in an obstacle; distances measure its
-    path.
+    which the body turns about it. It must lie in the body, since distances measure its path.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -121,7 +119,7 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return configurations at a share ``t`` of straight motions, which turn the shorter way; rounded at the end."""
+    """Return configurations at shares ``t`` of straight motions; at 1, the end up to rounding and whole turns."""
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
@@ -130,8 +128,8 @@ def between(
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
     """Return the rows before and after some moments on a path, and the share of the motion that is done.
 
-    Moments are clipped to the nondecreasing ``times`` of the rows. At the time of a row, the share is exactly 0; the
-    last row counts if several have this time. At the end of the path, the share is exactly 1.
+    Moments are clipped to the nondecreasing ``times`` of the rows. The share is exactly 0 at a row (of equal times,
+    the last), and exactly 1 at the end.
     """
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -159,7 +157,7 @@ def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
 
 @dataclass(frozen=True, eq=False, init=False)
 class PolygonRobot(Robot):
-    """A robot that is a convex polygon, with configurations ``(x, y, theta)``: reference point and heading.
+    """A convex polygon, with configurations ``(x, y, theta)``: position of the reference point, and heading.
 
     The reference point is the origin of the vertices' frame. The polygon turns about it and must contain it, possibly
     on its boundary, since distances measure its path. The heading is in radians, counterclockwise, periodic, and 0
@@ -201,12 +199,12 @@ class PolygonRobot(Robot):
 
 @dataclass(frozen=True, init=False)
 class RectangleRobot(Robot):
-    """A robot that is a rectangle, with configurations ``(x, y, theta)``: center and heading.
+    """A rectangle, with configurations ``(x, y, theta)``: center and heading.
 
     The heading is the direction of the length, in radians counterclockwise from the x axis, and periodic.
 
     Args:
-        length: Side along the heading, in workspace units; ``ValueError`` unless positive and finite.
+        length: Side along the heading, in workspace units; positive and finite, else ``ValueError``.
         width: Side across the heading, likewise.
     """
 
@@ -223,10 +221,7 @@ class RectangleRobot(Robot):
 
 @dataclass(frozen=True)
 class PointRobot(Robot):
-    """A point robot, with configurations ``(x, y)``.
-
-    Points never collide with one another, nor with a wall that they only touch.
-    """
+    """A point, with configurations ``(x, y)``; points never collide with points, nor with a wall that they touch."""
 
     rounding = 0.0
     dof = 2
@@ -235,11 +230,7 @@ class PointRobot(Robot):
 
 @dataclass(frozen=True, init=False)
 class DiscRobot(Robot):
-    """A disc robot, with configurations ``(x, y)``: its center.
-
-    Args:
-        radius: Radius in workspace units; ``ValueError`` unless positive and finite.
-    """
+    """A disc, with configurations ``(x, y)`` of its center; ``radius`` is positive and finite, in workspace units."""
 
     radius: float
     dof = 2
