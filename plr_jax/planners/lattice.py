@@ -38,11 +38,12 @@ _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
+
 Cells: TypeAlias = Int[np.ndarray, "n"]
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
-Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
+Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # child and cost
 
 
 class Terminals(NamedTuple):

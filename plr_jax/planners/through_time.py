@@ -45,7 +45,7 @@ class Timetable:
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
-        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)  # each one's last row
+        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)  # last row of each motion
         self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
         self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))

@@ -255,9 +255,7 @@ class _LifelongTeam:
         self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []  # robot, row and goal
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
-        self._hurried = np.full(
-            len(problem.robots), -_WINDOW
-        )  # row at which each robot was last replanned for being late
+        self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
         self._num_from_nothing, self._num_idle = 0, 0
 
     def plan_from_nothing(self) -> Status:
