@@ -1,12 +1,9 @@
-"""Paths that follow a cost-to-go to its goal, from many starts at once, never through a wall.
+"""Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
-Lengths in a workspace: a shortest path among polygons turns only at corners that stick out into free space. So the
-corners and the goal are the only places worth looking ahead to. Each corner is joined to the two visible places of
-least ``|x - y| + f(y)``, where ``f`` is the field, and Dijkstra's algorithm finds the ways to the goal along these
-edges. A start goes to the visible place of least length, and on from corner to corner. The remaining length falls at
-every step, so a path visits no place twice, even where the field has bumps.
-
-Other costs and spaces are followed by lookahead: see ``_lookahead.py``.
+For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
+corners. Let ``f`` be the field. Each corner is joined to the two visible places (corners or the goal) with the least
+``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a corner
+twice, even if the field has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -32,7 +29,7 @@ from plr_jax.spaces import (
 
 
 class DescentStatus(enum.StrEnum):
-    """How the descent from a start ended; the value is the message."""
+    """Result of the descent from a start; the value is a message."""
 
     REACHED = "the path ends at the goal"
     STUCK = "neither the goal nor a place from which it can be reached is in sight"
@@ -44,16 +41,15 @@ class Descent:
     """Paths from many starts to one goal.
 
     Attributes:
-        status: How each descent ended, members of :class:`DescentStatus`, ``(n,)``.
-        vertices: The paths, ``(n, longest, dim)``: from the start, along straight legs, to the goal, which is
-            repeated up to the number of vertices of the longest path. Around periodic axes legs go the short way. NaN
-            where there is no path.
-        counts: Number of vertices of each path without the repetitions, ``(n,)``: 1 where the start is the goal, 0
-            where there is no path.
-        lengths: Length of each path, ``(n,)``, ``inf`` where there is none: in workspace units, or by the
-            ``motion_cost`` of the space.
-        costs: Cost of each path, ``(n,)``, ``inf`` where there is none: the integral of the cost map along the path,
-            or its length where there is no cost map.
+        status: A :class:`DescentStatus` for each start, ``(n,)``.
+        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to the goal, which is repeated up to
+            the length of the longest path. NaN without a path. Along periodic axes, segments go the shorter way.
+        counts: Number of vertices of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 without a
+            path.
+        lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
+            a path.
+        costs: Integral of the cost map along each path, ``(n,)``; the length if there is no cost map, ``inf`` without
+            a path.
     """
 
     status: Shaped[np.ndarray, "n"]
@@ -69,7 +65,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The paths one by one, without repetitions; no rows where there is none."""
+        """The paths without repetitions, as a list of arrays; an array without rows where there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -87,46 +83,42 @@ def descend(
     *,
     cost_map: CostMap | None = None,
 ) -> Descent:
-    """Follow a distance function, or another cost-to-go, from many starts to its goal, by lookahead.
+    """Follow a cost-to-go, such as a PLR, from many starts to its goal.
 
-    *Lengths in a workspace*: shortest paths turn at corners alone, so paths go from corner to corner. The field is
-    evaluated once, at the corners, and ranks their edges; every leg of every path is tested for visibility. Corners
-    that the field does not lead to the goal are joined to all corners that they see. So a start reaches the goal
-    whenever there is a way, whatever the field. Paths are shortest except where the field errs by more than the best
-    ways on from a corner differ. Often, as in the maze, paths are shortest with a field that is zero as well: that a
-    descent arrives, and how long its path is, says little about a field.
+    The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *Other costs and spaces*: paths go on by steps of many lengths and directions, to the visible place where the
-    field falls most for what the step costs. That is steepest descent in the norm of the motion cost, over finite
-    steps, whatever the slope of the field. At last paths are made cheaper: vertices are left out, or shifted to where
-    their two legs cost least. Dents of the field that no step leaves are filled by a slow search of the
-    configurations around them: a path is STUCK where 1,000 expansions lead to no lower configuration. A step may
-    cross a ridge of the field, and so take another way around an obstacle than the field does, which may be much
-    longer. The better the field, the better the paths, and the sooner they are found. With a cost map, each start
-    takes a few tenths of a second.
+    *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
+    edges between corners; every segment is tested for visibility. A corner without a path to the goal is joined to
+    all corners that it sees, so each start reaches the goal if that is possible, whatever the field. A path is
+    shortest unless the field's error exceeds the difference between the best continuations. Even a field of zeros
+    often yields shortest paths, so path lengths say little about the quality of a field.
+
+    *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
+    field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. Local minima that
+    no step leaves are filled by a slower search, which gives up (STUCK) after 1,000 expansions. A step may cross a
+    ridge of the field and pass an obstacle on the other side, possibly with a much longer path. Better fields yield
+    better paths in less time. With a cost map, each start takes a few tenths of a second.
 
     Args:
-        distance_fn: The field, such as a PLR: any function of points ``(n, dim)`` to their costs-to-go ``(n,)``
-            through free space, NumPy or JAX; ``inf`` where it has none. In units of what motions cost. It is
-            evaluated within the domain of the space only, into which periodic coordinates are wrapped.
-        space: Free space. A Workspace is free space of points; for the shortest paths of a disc, pass the inflated
-            workspace.
-        starts: Where to begin, ``(n, dim)``.
-        goal: Where to end, ``(dim,)``, in closed free space.
-        cost_map: The factor of the motion cost that the field is a cost-to-go of; None: 1 everywhere.
+        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
+            space, NumPy or JAX, in units of the motion cost; ``inf`` where unknown. It is evaluated only in the
+            domain of the space, with wrapped periodic coordinates.
+        space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
+        starts: Start points, ``(n, dim)``.
+        goal: Goal point, ``(dim,)``, in closed free space.
+        cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        The paths, with a status for each start, their lengths and their costs. Costs by a cost map err by at most
-        0.1 %, and far less where it is smooth.
+        Status, path, length and cost for each start. Costs from a cost map have an error of at most 0.1 %, and far
+        less if the map is smooth.
 
     Raises:
-        ValueError: If the space is none, or only tests configurations, a shape is wrong, the goal is not free, the
-            field gives NaN or another number of values, or the cost map a number that is not positive and finite.
+        ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
+            free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
     References:
-        "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
-        visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite
-        steps stand for gradients in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+        Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
+        Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
@@ -134,7 +126,7 @@ def descend(
         space = PlaneSpace(space) if isinstance(space, Workspace) else space
         require_space(space)
         if not isinstance(space, ConfigurationSpace):
-            raise ValueError(f"space must prove motions free, with classify and are_free, got {shortened(space)}.")
+            raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
             raise ValueError(
                 f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
@@ -149,45 +141,45 @@ def descend(
     return Descent(status, vertices, counts, np.where(reached, lengths, np.inf), np.where(reached, costs, np.inf))
 
 
-# Shortest paths in the plane, along corners.
-
-_NUM_WAYS = 2  # edges of a corner that the field chooses: the best one, and another in case the field errs a little
+_NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in case of a small error
 
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
     starts, goal = map(workspace.bounds.settled, (starts, goal))
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
-        raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")
+        raise ValueError(
+            f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or into the bounds."
+        )
     places = find_corners(workspace)[0].without(goal).with_goal(goal)
     points = places.points
-    field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may change it
+    field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
     field[0] = 0.0  # at the goal, by definition
 
     def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
         length, onward = dijkstra(Graph(points, edges), 0)
-        return length, np.maximum(onward, 0)  # the goal follows itself
+        return length, np.maximum(onward, 0)  # the goal's next place is the goal
 
-    # 1. Join each corner to the places that promise the shortest ways. Join those that are lost to all they see.
+    # 1. Join each corner to its best places by the field. Join corners without a path to all places that they see.
     edges = _edges(workspace, places, field, np.arange(1, len(points)), _NUM_WAYS)
     length, onward = shortest(edges)
     lost = np.flatnonzero(~np.isfinite(length))
     if lost.size:
         everything = _edges(workspace, places, np.zeros(len(points)), lost, len(points))
-        edges = _distinct(np.concatenate([edges, everything]))
+        edges = _unique_pairs(np.concatenate([edges, everything]))
         length, onward = shortest(edges)
-    # 2. Join places to the place after the next where they see it, until no new edge comes up.
+    # 2. Join each place to the place after the next one if visible, until there are no new edges.
     tried = np.full(len(points), -1)
     while True:
         after_next = onward[onward]
         place = np.flatnonzero((onward > 0) & (after_next != tried))
-        pairs, tried = _distinct(np.stack([place, after_next[place]], axis=1)), after_next
-        joined = _distinct(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
+        pairs, tried = _unique_pairs(np.stack([place, after_next[place]], axis=1)), after_next
+        joined = _unique_pairs(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
         if len(joined) == len(edges):
             break
         edges = joined
         length, onward = shortest(edges)
-    # 3. Find the first place of each start. Joints may be missing for taut ways: who sees no turn point tries all.
+    # 3. Find the first place of each start: the goal, else a place where the path can turn, else any place.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
     to_place = np.where(workspace.is_visible(x, np.broadcast_to(goal, x.shape)), 0, -1)
@@ -202,7 +194,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
         )[0]
     first = np.full(len(starts), -1)
     first[is_free] = to_place
-    # A start that is a corner begins with the leg after it.
+    # A start at a corner continues to the corner's next place.
     at_corner = (first > 0) & (starts == points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
     vertices, counts = chains_of(starts, points, onward, first)
@@ -217,7 +209,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of one of the corners and a place it sees, for the ``count`` ways on that promise to be shortest."""
+    """Return edges from each corner to the ``count`` visible places with the least length plus field value."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]
@@ -232,9 +224,9 @@ def _edges(
 
     ways, _ = first_visible_in_parts(lookahead, len(corners), len(places.points), sees, count)
     row, column = np.nonzero(ways >= 0)
-    return _distinct(np.stack([corners[row], ways[row, column]], axis=1))
+    return _unique_pairs(np.stack([corners[row], ways[row, column]], axis=1))
 
 
-def _distinct(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Each pair once, whichever way round it is given."""
+def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
+    """Remove repeated pairs, regardless of their order."""
     return np.unique(np.sort(pairs, axis=1), axis=0)

@@ -1,11 +1,11 @@
-"""Paths by lookahead: finite steps down a cost-to-go, through any space that proves motions free.
+"""Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
 
-From each configuration, steps of many lengths and directions are tried. The way on goes where
-the field falls most for what the step costs: ``(f(x) - f(y)) / cost(x, y)`` is 1 along cheapest paths and nowhere
-above, by the principle of optimality. A steeper fall is an error of the field, and counts as 1. Of steps that are
-nearly as steep the longest is taken, so that kinks and dents smaller than a step do no harm. A step must let the
-field fall by a share of its cost, so that every path ends. Finished paths are made cheaper: nodes are left out, or
-shifted to where their two legs cost least.
+1. From each configuration ``x``, steps to ``y`` of many lengths and directions are ranked by slope, the fall of the
+   field per cost: ``(f(x) - f(y)) / cost(x, y)``. By the principle of optimality, the slope is 1 along cheapest paths
+   and nowhere larger. A larger slope is an error of the field and counts as 1.
+2. Among nearly equal slopes, the longest step wins, so that kinks and dents smaller than a step do no harm. The slope
+   must be at least ``_FALL``, so that every path ends. Local minima are left by a best-first search.
+3. Finished paths are made cheaper: nodes are skipped, or shifted to where their two segments cost least.
 """
 
 import heapq
@@ -33,7 +33,7 @@ from plr_jax.spaces import (
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]
-Next: TypeAlias = Int[np.ndarray, "_"]  # for each node of a set of paths, the node after it
+Next: TypeAlias = Int[np.ndarray, "_"]  # the next node of each node
 Chains: TypeAlias = tuple[
     Float[np.ndarray, "n longest dim"],
     Int[np.ndarray, "n"],
@@ -46,10 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """The vertices of paths that go from starts to their first nodes and on to node 0, the goal, and their counts.
-
-    A path that comes to -1 has no vertices: its count is 0.
-    """
+    """Return vertices and counts of paths from starts through ``first`` to node 0; count 0 if they reach -1."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
@@ -59,17 +56,27 @@ def chains_of(
     return vertices, np.where(places[:, -1] == 0, counts, 0)
 
 
-# What straight motions of a configuration space cost, and which to try.
-
-_CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and for each axis in more dimensions
-_STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # shares by which costs of steps, and of paths, may err
-_SAMPLES = 8  # of a motion whose cost is estimated
-_LEAST_SHARE = 1 / 16  # of a motion: shorter pieces may err by as much as a piece of this share
+_CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
+_STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
+_SAMPLES = 8  # samples of a motion whose cost is estimated
+_LEAST_SHARE = 1 / 16  # pieces shorter than this share of a motion are allowed the absolute error of such a piece
 _MOST_HALVINGS = 40
+_LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
+_FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
+_LONGER = 0.01  # loss of slope that is accepted for a step twice as long
+_DEARER = 0.02  # a step may cost more than its estimate by this share
+_MOST_EXPANSIONS = 1000  # of the search that leaves a local minimum
+_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
+_KNOWN = 1e-3  # estimates with a smaller relative error are trusted to find the best place
+_GAIN = 1e-6  # least saving of a change, as a share of the cost of the segments
+_WIDEST_SHIFT, _NUM_SHIFTS = (
+    1 / 32,
+    8,
+)  # widest shift, as a share of the domain, and number of shifts, each half as wide
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Motions of cost 1 in many directions: those of all axes, and those of each block alone."""
+    """Return motions of cost 1 in many directions: of all axes, and of each block of axes alone."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -80,7 +87,9 @@ def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
             directions = np.eye(dim)
             if dim > 2:
                 num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-                share = qmc.Sobol(dim, scramble=False).random(2 * num)[num:]  # the first points include 0
+                share = qmc.Sobol(dim, scramble=False).random(2 * num)[
+                    num:
+                ]  # skips the first points, which include 0
                 directions = np.concatenate([directions, ndtri(share)])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])
@@ -93,38 +102,28 @@ def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
 
 @dataclass(frozen=True, eq=False)
 class PathCosts:
-    """Lengths and costs of straight motions, around periodic axes the short way.
-
-    Attributes:
-        space: The configuration space.
-        cost_map: The factor of the cost of motions; None: 1 everywhere.
-    """
+    """Lengths and costs of straight motions, the shorter way around periodic axes."""
 
     space: ConfigurationSpace
-    cost_map: CostMap | None
+    cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimates of the cost of motions from each configuration by some changes, from a few samples of each."""
+        """Estimate the cost of motions from each configuration by some changes, from a few samples of each motion."""
         n, k, dof = changes.shape
         motion, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
             return motion.norm(changes.reshape(-1, dof)).reshape(n, k)
         share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         q = q0[:, None, None] + share[:, None] * changes[:, :, None]
-        # Motions that leave the domain are not free, but have to cost something.
+        # Motions that leave the domain are not free, but need a finite cost.
         q = domain.wrapped(np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi))).reshape(-1, dof)
         rates = motion_rates(motion, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """What motions cost, by the midpoint rule on pieces that are halved until bounds prove that they err little.
+        """Return motion costs by the midpoint rule, on pieces that are bisected until bounds prove the accuracy.
 
-        A jump of the factor within a motion may let it err by a sixteenth of the tolerance besides.
-
-        Args:
-            q0: Where motions begin.
-            q1: Where they end.
-            tolerance: The largest error, as a share of the cost.
+        The relative error is at most ``tolerance``, plus 1/16 of it if the cost map jumps within a motion.
         """
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
@@ -138,12 +137,12 @@ class PathCosts:
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
         motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
         begin, end = ends[motion, place], ends[motion, place + 1]
-        # 2. Halve the pieces whose cost is not known well enough.
+        # 2. Halve the pieces whose cost is not accurate enough.
         for halvings in range(_MOST_HALVINGS + 1):
             middle = (begin + end) / 2
             q = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
             part = (end - begin)[:, None] * change[motion]
-            # Bounds of the cost in the box about each piece, which is in the domain but for rounding.
+            # Bound the cost in the box around each piece, which lies in the domain up to rounding.
             lo, hi = np.maximum(q - np.abs(part) / 2, domain.lo), np.minimum(q + np.abs(part) / 2, domain.hi)
             lower, upper, pulls = cost_bounds(motion_cost, self.cost_map, lo, hi)
             norm = motion_cost.norm(part)
@@ -159,26 +158,17 @@ class PathCosts:
         return cost
 
 
-# Paths by lookahead over finite steps.
-
-_LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain; lengths, each half the one before
-_FALL = 0.1  # least share of a step's cost by which the field falls along it
-_LONGER = 0.01  # by how much less steep a step may be that is twice as long
-_DEARER = 0.02  # share by which a step may cost more than its estimate
-_MOST_EXPANSIONS = 1000  # of the search that fills a dent
-_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
-
-
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    """Return paths by lookahead: vertices, counts, lengths, costs, and which starts are free."""
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is not a free configuration of the space.")
     is_free = costs.space.is_free(starts)
     nodes, onward, nodes_of_starts = _Lookahead(field, costs, goal).follow(starts[is_free])
-    onward = _pulled_straight(costs, nodes, onward)
-    nodes = _shifted(costs, nodes, onward, nodes_of_starts)
-    onward = _pulled_straight(costs, nodes, onward)
+    onward = _skip_nodes(costs, nodes, onward)
+    nodes = _shift_nodes(costs, nodes, onward, nodes_of_starts)
+    onward = _skip_nodes(costs, nodes, onward)
     first = np.full(len(starts), -1)
     first[is_free] = onward[nodes_of_starts]
     vertices, counts = chains_of(starts, nodes, onward, first)
@@ -191,7 +181,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """Steps from configurations to others."""
+    """The steps that follow a field to a goal."""
 
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
@@ -199,16 +189,16 @@ class _Lookahead:
         directions = unit_motions(motion)
         lengths = _LONGEST * float((motion.scale * self.domain.width).max()) / 2.0 ** np.arange(_NUM_LENGTHS)
         self.shortest = float(lengths[-1])
-        # The first way leads to the goal, the others along the steps.
+        # The first candidate is the motion to the goal, the others are steps.
         self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(directions)))
         self.steps = (lengths[:, None, None] * directions).reshape(-1, motion.dof)
         side = _CELL * float((motion.scale * self.domain.width).max())
         self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / side))
         self.cell_steps = np.concatenate([side * count * directions for count in _CELL_STEPS])
-        self.dents: list[tuple[Float[np.ndarray, dim], Points | None]] = []
+        self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
-        """The field at configurations, 0 where it is negative and ``inf`` outside the domain."""
+        """Return the field, with negative values raised to 0; ``inf`` outside the domain."""
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if inside.any():
@@ -218,20 +208,14 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Follow the field from free starts.
-
-        Returns:
-            Configurations, the goal first; the node after each, -1 where a path is stuck; and the nodes of the
-            starts.
-        """
+        """Follow the field; return nodes (the goal first), next nodes (-1 if stuck), and the nodes of the starts."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
             y, status = self._step(x, value)
-            # Whoever is stuck leaves the dent, if there is a way out, by a chain of nodes to its last configuration.
-            detours = {}
+            detours = {}  # for stuck paths, the nodes that lead out of the local minimum
             for row in np.flatnonzero(status < 0).tolist():
-                chain = self._way_out(x[row], value[row] - _FALL * self.shortest)
+                chain = self._escape(x[row], value[row] - _FALL * self.shortest)
                 if chain is not None:
                     y[row], status[row] = chain[-1], 0
                     if len(chain) > 1:
@@ -249,7 +233,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """The best step from each configuration: where to; status 1 if that is the goal, -1 if there is no step."""
+        """Return the best step's end from each configuration, and a status: 1 at the goal, -1 if there is no step."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -283,34 +267,26 @@ class _Lookahead:
         way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
-    def _way_out(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Configurations along free motions out of a dent of the field, the last of a value below ``below``.
-
-        Dents in which paths were stuck before, and which are in sight, are used again. None if the search fails.
-        """
-        for stuck, chain in self.dents:
+    def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+        """Return configurations out of a local minimum to a value below ``below``, or None; reuse earlier escapes."""
+        for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
                     return None
                 if self.values(chain[-1:])[0] < below:
                     return np.concatenate([stuck[None], chain])
-        chain = self._filled(x, below)
-        self.dents.append((x, chain))
+        chain = self._search_below(x, below)
+        self.minima.append((x, chain))
         return chain
 
-    def _filled(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Best-first search by the values of the field, one configuration a cell, for one below a value.
-
-        References:
-            Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991: local
-            minima of a potential are filled until a configuration below them is found.
-        """
+    def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+        """Search for a configuration with a lower value, best first, one per cell (Barraquand and Latombe, 1991)."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
                 return None
             _, node = heapq.heappop(frontier)
-            # Of configurations that steps lead to, keep the lowest in each unclaimed cell, which is then claimed.
+            # Keep the lowest reachable configuration in each unclaimed cell, and claim the cell.
             y = self.domain.wrapped(found[node] + self.cell_steps)
             values = self.values(y)
             order = np.argsort(values, kind="stable")
@@ -337,15 +313,8 @@ class _Lookahead:
         return list(map(tuple, cells.astype(int).tolist()))
 
 
-# Paths made cheaper where they are: nodes left out, and shifted to where their two legs cost least.
-
-_KNOWN = 1e-3  # share of the cost of two legs by which an estimate may err that is trusted to find the best place
-_GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
-_WIDEST_SHIFT, _NUM_SHIFTS = 1 / 32, 8  # of nodes, as a share of the domain; shifts, each half the one before
-
-
-def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """The next nodes of paths after nodes are left out wherever the straight way past them is free and cheaper."""
+def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
+    """Return the next nodes of paths after skipping nodes where the straight motion past them is free and cheaper."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
     leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
@@ -359,37 +328,33 @@ def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
         straight = costs.integrals(nodes[which], nodes[ahead[which]], _STEP_TOLERANCE)
         legs = leg[which], leg[onward[which]]
-        better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # two nodes at one place are one
+        better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # a segment of no cost
         which, straight = which[better], straight[better]
         onward[which], leg[which] = ahead[which], straight
 
 
-def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
-    """Nodes moved to where the legs from the node before and to the node after cost least; first and last ones stay.
-
-    Only nodes of paths that reach the goal, node 0, are moved. No two of them have the same next node but the goal.
-    """
+def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
+    """Shift inner nodes of paths to the goal to where the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
-    # The node before each, -1 for nodes that stay, and its place along the path.
-    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)
+    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
     while len(node):
         node, count = node[onward[node] > 0], count + 1
-        before[onward[node]], number[onward[node]] = node, count
+        before[onward[node]], number[onward[node]] = node, count  # inner nodes are on one path each
         node = onward[node]
     extent = float((motion.scale * costs.space.domain.width).max())
     for shift in _WIDEST_SHIFT * extent / 2.0 ** np.arange(_NUM_SHIFTS):
         changes = shift * unit_motions(motion)
-        for parity in (0, 1, 0, 1):  # of two neighbors one stays
+        for parity in (0, 1, 0, 1):  # neighbors never move at once
             which = np.flatnonzero((before >= 0) & (number % 2 == parity))
-            nodes[which] = _best_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
+            nodes[which] = _cheapest_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
     return nodes
 
 
-def _best_places(
+def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """The cheapest free place between each two nodes: the configuration as it is, or after one of the changes."""
+    """Return the cheapest free place between each two nodes: the old configuration, or one of its changes."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

@@ -1,4 +1,4 @@
-"""Planning problems: robots in a workspace, each with a start and a goal, and the cost of a path."""
+"""Planning problems (robots in a workspace, each with a start and a goal) and the cost of paths."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,24 +20,23 @@ _VERBS = {"starts": "starts", "goals": "has its goal"}
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Robots in a workspace, each to go from its start to its goal.
+    """Robots in a workspace, each with a start and a goal.
 
-    Robots may touch walls and one another, to ``workspace.tolerance``. Points never collide with points.
+    Robots may touch walls and one another, up to ``workspace.tolerance``. Points never collide with points.
 
     Args:
-        workspace: Where they move.
+        workspace: The workspace of all robots.
         robots: The robots, at least one.
-        starts: Start configurations, ``(robots, dof)``, in workspace units and radians; ``dof`` is 2 if no
-            robot has a heading, as points and discs, else 3, and the heading of those that have none is ignored.
+        starts: Start configurations, ``(robots, dof)``, in workspace units and radians. ``dof`` is 2 if no robot has
+            a heading, else 3; the headings of robots without one (points and discs) are ignored.
         goals: Goal configurations, ``(robots, dof)``.
-        rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for every robot that has
-            a heading; None: its circumscribed radius, of a rectangle half the diagonal.
+        rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for robots with a heading.
+            None: each robot's circumscribed radius, which is half the diagonal for a rectangle.
 
     Raises:
-        ValueError: If there is no robot, starts or goals have the wrong shape or are not finite, the rotation
-            weight is negative or not finite, a robot starts or ends outside the bounds or in collision with
-            an obstacle or another robot, or obstacles cut a goal off from its start (for a robot with
-            corners: for its inscribed disc, so that not all impossible problems are found out).
+        ValueError: If there is no robot, an argument has a wrong shape or value, or a start or goal is outside the
+            bounds or in collision. Also if obstacles separate a goal from its start; this is tested for the robot's
+            inscribed disc, so a problem that passes may still be impossible.
     """
 
     workspace: Workspace
@@ -60,7 +59,7 @@ class Problem:
         robots = tuple(robots)
         for i, robot in enumerate(robots):
             if not isinstance(robot, Robot):
-                raise ValueError(f"Robot {i} must be a robot such as PointRobot(), got {robot!r}.")
+                raise ValueError(f"Robot {i} must be a Robot such as PointRobot(), got {robot!r}.")
             check_body(f"Robot {i}", robot)
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
@@ -70,17 +69,17 @@ class Problem:
         set_fields(self, **{name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
         for name in given:
             _require_free(name, getattr(self, name), robots, workspace)
-            _require_apart(name, getattr(self, name), robots, workspace.tolerance)
+            _require_no_overlap(name, getattr(self, name), robots, workspace.tolerance)
         _require_connected(self)
 
     @property
     def dof(self) -> int:
-        """Numbers in each robot's configuration: 2 if none has a heading, else 3."""
+        """Length of each robot's configuration: 2 if no robot has a heading, else 3."""
         return team_dof(self.robots)
 
     @property
     def rotation_weights(self) -> Float[np.ndarray, "robots"]:
-        """Cost of each robot's turn by one radian, in workspace units: 0 for those without a heading."""
+        """Cost of each robot's turn by one radian, in workspace units; 0 for robots without a heading."""
         weights = [
             robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
             for robot in self.robots
@@ -91,17 +90,14 @@ class Problem:
 def motion_costs(
     problem: Problem, q0: Float[np.ndarray, "*#batch robots dof"], q1: Float[np.ndarray, "*#batch robots dof"]
 ) -> Float[np.ndarray, "*batch robots"]:
-    """Cost of each robot's straight motion between joint configurations, as :func:`straight_costs`."""
+    """Return the cost of each robot's straight motion between joint configurations."""
     return straight_costs(q0, q1, problem.rotation_weights)
 
 
 def straight_costs(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
 ) -> Float[np.ndarray, "*batch"]:
-    """Cost of straight motions of one robot, or of several along the last batch axis, in workspace units.
-
-    The length of each motion, and the weight of its shorter turn: that of one radian, one for all or one a robot.
-    """
+    """Return costs of straight motions: length plus ``rotation_weight`` (one, or one per robot) times the angle."""
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
         cost = cost + rotation_weight * smaller_angle(q0[..., 2], q1[..., 2])
@@ -109,55 +105,39 @@ def straight_costs(
 
 
 def path_cost(problem: Problem, path: ArrayLike) -> float:
-    """Cost of a path: the sum over its motions and robots.
+    """Return the cost of a path ``(steps, robots, dof)``: the sum of its motion costs, in workspace units.
 
-    Args:
-        problem: The robots and their weights.
-        path: Joint configurations ``(steps, robots, dof)``, at least one.
-
-    Returns:
-        The cost, in workspace units.
-
-    Raises:
-        ValueError: If the path has another shape.
+    The sum is over all steps and robots. A path of another shape raises ``ValueError``.
     """
     path = as_path(problem, path)
     return float(motion_costs(problem, path[:-1], path[1:]).sum())
 
 
 def makespan(problem: Problem, path: ArrayLike) -> float:
-    """Time that a path takes if in each motion the robot of the largest cost moves at unit speed.
+    """Return the duration of a path ``(steps, robots, dof)`` if each motion's costliest robot has unit speed.
 
-    Args:
-        problem: The robots and their weights.
-        path: Joint configurations ``(steps, robots, dof)``, at least one.
-
-    Returns:
-        The time: the sum over motions of the largest cost of a robot.
-
-    Raises:
-        ValueError: If the path has another shape.
+    It is the sum over motions of the largest cost of a robot. A path of another shape raises ``ValueError``.
     """
     return float(row_times(problem, path)[-1])
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
-    """When a path reaches each of its rows, from 0 to its :func:`makespan`, never falling."""
+    """Return the times at which a path reaches its rows: nondecreasing, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
     return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 
 
 def require_problem(problem: object, path: object = None) -> None:
-    """``ValueError`` unless it is a problem, and a path beside it not what has the path."""
+    """Raise ``ValueError`` unless ``problem`` is a Problem and ``path`` is not an object that contains a path."""
     if not isinstance(problem, Problem):
         expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
         raise ValueError(f"{expected}, got {shortened(problem)}.")
     if hasattr(path, "path"):
-        raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}: give its .path.")
+        raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}. Pass its .path.")
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """A path of a problem, of at least one step, as a float64 array; ``ValueError`` if it has another shape."""
+    """Return a path of a problem as a float64 array; raise ``ValueError`` for a wrong shape."""
     require_problem(problem, path)
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
@@ -202,7 +182,7 @@ def _require_free(
             )
 
 
-def _require_apart(
+def _require_no_overlap(
     name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
 ) -> None:
     cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])
@@ -220,11 +200,10 @@ def _require_apart(
 
 
 def _require_connected(problem: Problem) -> None:
-    """Refuse a goal that lies in another part of free space, for the robot's inscribed disc, than its start."""
+    """Raise ``ValueError`` if a goal is in another component of free space than its start, for the inscribed disc."""
     workspace, labels = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
-        # Less the tolerance, so that a passage exactly as wide as the disc stays open.
-        radius = max(0.0, robot.inscribed_radius - workspace.tolerance)
+        radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
         if radius not in labels:
             grown = workspace.inflate(radius)
             parts = shapely.get_parts(grown.free_space)
@@ -235,19 +214,19 @@ def _require_connected(problem: Problem) -> None:
             graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
             labels[radius] = parts, connected_components(graph)[1]
         parts, label = labels[radius]
-        # Where obstacles touch, an end lies in several parts.
+        # A start or goal where obstacles touch lies in several parts.
         apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
         first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
         if not np.isin(first, last).any():
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
             raise ValueError(
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
-                f"{problem.starts[i].tolist()}: obstacles leave no way for {body} between them."
+                f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
             )
 
 
 def separation(a: Any, b: Any) -> float:
-    """Distance of two Shapely shapes; where they overlap, minus a point's depth, or the overlap's rough width."""
+    """Return the distance of two Shapely geometries; if they overlap, a negative depth (approximate for areas)."""
     distance = shapely.distance(a, b)
     if distance > 0 or a.geom_type == b.geom_type == "Point":
         return distance

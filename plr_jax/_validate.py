@@ -1,12 +1,11 @@
-"""An independent check of a path. It shares no code with the collision tests that planners call.
+"""An independent check of paths, which shares no code with the collision tests of the planners.
 
-There are two exceptions. Where obstacles touch, and which sides that leaves to free space, the workspace says; and
-which way a robot turns is no finding but part of what a path means, so that all have it from one function.
+There are two exceptions: where obstacles touch and how that divides free space (the workspace says so), and which way
+a robot turns (part of the meaning of a path).
 
-Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
-Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
-middle of a piece bounds it throughout. Bisection goes on until the smallest clearance is known, and every
-piece is shown to be free or not to be.
+Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
+bisected in time: the clearance in the middle of a piece, less the distance that the bodies move, bounds it in the
+whole piece. Bisection ends when the smallest clearance is known and every piece is proven free or in collision.
 """
 
 from collections.abc import Sequence
@@ -25,24 +24,25 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, shorter_turn
 
-_TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
+_TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
+_ENDS = (slice(None, -1), slice(1, None))  # first and last row of each motion
 
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """What is wrong with a path, or that nothing is.
+    """Result of :func:`validate`: the first violation of a path, or its clearance.
 
     Args:
-        valid: Whether the path solves its problem.
-        cost: Its cost, recomputed, in workspace units; NaN if it has none.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the whole
-            path, to 1e-7 of the workspace's extent or twice its ``tolerance``. If the path collides, about minus
-            the depth of the overlap in the first motion that does; NaN if the path is no path.
-        message: The first violation in words; if there is none, who comes closest to what.
-        who: Indices of the robots that the message is about.
-        when: The time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of the first of these robots then.
+        valid: Whether the path solves the problem.
+        cost: Recomputed cost of the path, in workspace units; NaN if the path has a wrong shape or is not finite.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot, to within 1e-7 of the
+            workspace's extent or twice its ``tolerance``, if larger. For a colliding path, about minus the depth of
+            the first overlap. NaN if the cost is NaN.
+        message: Description of the first violation, or of the closest pair if there is none.
+        who: Indices of the robots in the message.
+        when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
+        where: Position of the first of these robots at that time.
     """
 
     valid: bool
@@ -55,21 +55,21 @@ class ValidationReport:
 
 
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
-    """Check a path on its own merits, whoever made it.
+    """Check whether a path, from any planner, solves a problem.
 
-    The path must begin at the starts and end at the goals exactly (but for headings of robots that have none), be
-    finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
-    straight, at constant rates, turning by the shorter way, counterclockwise by half a turn. Touching is allowed.
+    The path must begin at the starts and end at the goals exactly, except for headings of robots without one. It must
+    be finite. All robots must keep clear of obstacles, the bounds and one another during all motions; touching is
+    allowed. Motions are straight, at constant rates, and turn the shorter way (half a turn is counterclockwise).
 
     Args:
-        problem: What the path should solve.
+        problem: The problem that the path should solve.
         path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians.
 
     Returns:
-        The report. A path that is wrong in any way is reported, not raised.
+        The report. An invalid path is reported and raises nothing.
 
     Raises:
-        ValueError: If it is no problem, or a Solution is given in the place of its path.
+        ValueError: If ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
     try:
@@ -88,40 +88,40 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         first = min(collisions, key=lambda encounter: encounter.first_moment)
         return _collision_report(problem, first, cost)
     clearance = closest.findings.clearance
-    fault = _squeeze(problem, path) or _wrong_end(problem, path)
+    fault = _find_squeeze(problem, path) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.findings.motion}."
+    step = closest.findings.motion
+    message = f"Valid: clearance {clearance:.4g}, {_describe_pair(closest)} in the motion from step {step}."
     return ValidationReport(True, cost, clearance, message, closest.who)
 
 
 @dataclass(frozen=True)
 class _Findings:
     clearance: float
-    motion: int  # where the clearance is smallest
-    collision: int | None  # the first motion that collides
+    motion: int  # with the smallest clearance
+    collision: int | None  # first motion that collides
 
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot along a path, and a blocked region or another robot along its own."""
+    """A robot along its path, and the blocked region or another robot along its path."""
 
     who: tuple[int, ...]
     robot: Robot
     path: Float[np.ndarray, "steps dof"]
-    other: Any  # a robot if it has a path, else a region
+    other: Any  # a robot if there is an other_path, else the blocked region
     other_path: Float[np.ndarray, "steps dof"] | None
     tolerance: float
 
     @property
     def reach(self) -> float:
-        """Distance that cores keep for being rounded."""
+        """Distance that the cores must keep: the sum of the roundings."""
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Clearance at some times."""
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
@@ -131,7 +131,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Smallest clearance of motions in which nothing turns, seen from the other body."""
+        """Return the smallest clearances during motions without turns, in the frame of the other body."""
         start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -141,7 +141,7 @@ class _Encounter:
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach <= self.tolerance:
-            # Met, a body is touched or entered: entered if so is what is left of it, peeled. A point is not peeled.
+            # At distance 0 a body is touched or entered. Shrink the one that has an area, and test again.
             met = np.flatnonzero(distance == 0)
             met_hulls, met_others = hulls[met], others[met]
             if (shapely.area(met_others) == 0).any():
@@ -151,24 +151,24 @@ class _Encounter:
         return distance - self.reach
 
     @cached_property
-    def rates(self) -> Float[np.ndarray, "motions"]:
-        """How much the clearance can change in each motion."""
+    def max_rates(self) -> Float[np.ndarray, "motions"]:
+        """Bound of the change of clearance during each motion."""
         velocity = np.diff(self.path[:, :2], axis=0)
-        rates = _rim_speeds(self.robot, self.path)
+        max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
             velocity = velocity - np.diff(self.other_path[:, :2], axis=0)
-            rates = rates + _rim_speeds(self.other, self.other_path)
-        return rates + np.linalg.norm(velocity, axis=1)
+            max_rates = max_rates + _rim_speeds(self.other, self.other_path)
+        return max_rates + np.linalg.norm(velocity, axis=1)
 
     @cached_property
     def turns(self) -> Any:
-        """Whether something turns, in each motion."""
+        """Whether a body turns, for each motion."""
         turns = _rim_speeds(self.robot, self.path) > 0
         return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
 
     @cached_property
     def findings(self) -> _Findings:
-        """The smallest clearance, and the first collision."""
+        """The smallest clearance, and the first motion that collides."""
         smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
         straight = np.flatnonzero(~self.turns)
         smallest[straight] = self.swept(straight)
@@ -176,8 +176,8 @@ class _Encounter:
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
-            bound = middle - self.rates[motion] * size / 2
-            # Collided motions are done with; so are pieces that are free and no closer than another.
+            bound = middle - self.max_rates[motion] * size / 2
+            # Drop motions that collide, and pieces that are free and cannot have the smallest clearance.
             unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
             size /= 2
@@ -189,43 +189,37 @@ class _Encounter:
 
     @cached_property
     def first_moment(self) -> float:
-        """When the first collision begins, to a fraction of a step."""
+        """Time at which the first collision begins, in steps."""
         motion = self.findings.collision
         assert motion is not None
-        pieces = [(0.0, 1.0)]  # a stack, the earliest on top
+        pieces = [(0.0, 1.0)]  # a stack, the earliest piece on top
         while pieces:
             begin, size = pieces.pop()
             middle = float(self.clearances(np.array([motion + begin + size / 2]))[0])
-            if middle - self.rates[motion] * size / 2 >= -self.tolerance:
+            if middle - self.max_rates[motion] * size / 2 >= -self.tolerance:
                 continue
             if size <= _MOMENT and middle < -self.tolerance:
                 return motion + begin + size / 2
             if size > _MOMENT:
                 pieces += [(begin + size / 2, size / 2), (begin, size / 2)]
-        return motion + 0.5  # too brief to be pinned down
+        return motion + 0.5  # the collision is too brief to be located
 
     @property
     def depth(self) -> float:
-        """Smallest clearance seen in the first motion that collides."""
+        """Smallest sampled clearance in the first motion that collides."""
         motion = self.findings.collision
         assert motion is not None
         times = np.append(motion + np.linspace(0.0, 1.0, 65), self.first_moment)
         return min(float(self.clearances(times).min()), -self.tolerance)
 
 
-_ENDS = (slice(None, -1), slice(1, None))
-
-
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Every robot with what is blocked, and with all robots but those too far to collide or to be the closest.
-
-    Points never meet points.
-    """
+    """Pair every robot with the blocked region, and with all robots near enough to collide or to be closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
-    # Everything that is not free, out to beyond the path.
+    # The blocked region includes a margin beyond the bounds and the path.
     lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
     hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
     blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
@@ -243,17 +237,14 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
 
 
 def _tolerance(workspace: Workspace) -> float:
-    """Far from the origin, what the workspace calls touching is the coarser of the two."""
+    """Return the check's tolerance: at least twice the workspace's, which grows far from the origin."""
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Of each two robots that can collide a lower bound of their clearance, and who they are, the smallest first.
-
-    It is that of the circles around them, whose centers come closest where their relative motion does to the origin.
-    """
+    """Return lower bounds of the clearances of pairs of robots, from their circumscribed circles, sorted."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -268,7 +259,6 @@ def _least_clearances(
 
 
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
-    """Configurations at times in steps."""
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
     change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
@@ -276,19 +266,17 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> F
 
 
 def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """The turn of each motion."""
     return shorter_turn(path[:-1, 2], path[1:, 2])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """How far turning takes a robot's corners in each motion."""
+    """Return the largest displacement of a robot's corners by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
-    """Vertices of cores."""
     x, y = robot.core.T
     heading = q[:, 2:] if robot.dof == 3 else np.zeros((len(q), 1))
     c, s = np.cos(heading), np.sin(heading)
@@ -296,15 +284,15 @@ def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "
 
 
 def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
-    """Cores as Shapely geometries; a disc's is its center."""
+    """Return a robot's core at some configurations as Shapely geometries; a disc's core is its center."""
     corners = _corners(robot, q)
     if len(robot.core) == 1:
         return shapely.points(corners[:, 0])
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
+def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """Find the first forbidden passage of a point robot between touching obstacles: robot, time, message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -327,10 +315,10 @@ def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> t
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """The motions with which a point, which meets a contact in one of them, is on another side than it came from.
+    """Return the motions after which a point, near a contact in ``motion``, is on another side than before.
 
-    Sides are the sectors of free space at the contact. In a disc of half the length of its edges the contact alone
-    joins them, so that what counts is where the point enters the disc, is within it, and leaves it.
+    Sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the contact
+    joins them, so the point's path in this disc decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
@@ -342,7 +330,11 @@ def _changes_of_side(
     first = int(outside[outside <= motion].max(initial=0))
     last = int(outside[outside > motion].min(initial=len(way) - 1))
     stay = np.array(
-        [_entry(way[first], way[first + 1], radius), *way[first + 1 : last], _entry(way[last], way[last - 1], radius)]
+        [
+            _entry_point(way[first], way[first + 1], radius),
+            *way[first + 1 : last],
+            _entry_point(way[last], way[last - 1], radius),
+        ]
     )
     at_contact = np.linalg.norm(stay, axis=1) <= tolerance
     may_be = [_is_in_sector(boundary, sector, stay, tolerance) | at_contact for sector in sectors]
@@ -362,8 +354,8 @@ def _is_in_sector(
     return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
 
 
-def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
-    """Where a motion enters a disc about the origin, or begins if that is within."""
+def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
+    """Return where a motion enters a disc around the origin, or its begin if that is in the disc."""
     if begin @ begin <= radius**2:
         return begin
     change = end - begin
@@ -371,8 +363,8 @@ def _entry(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: f
     return begin - (along + np.sqrt(along**2 - squared * (begin @ begin - radius**2))) / squared * change
 
 
-def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """The robot that does not begin or end where it should, when, and a message."""
+def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """Find a robot that does not begin at its start or end at its goal: robot, time, message."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()
@@ -388,22 +380,21 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     depth = collision.depth
     what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
-        what = f"Robot {collision.who[0]} {_obstacle(problem.workspace, _bodies(collision.robot, q)[0])}"
+        what = f"Robot {collision.who[0]} {_describe_violation(problem.workspace, _bodies(collision.robot, q)[0])}"
     message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
     return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))
 
 
-def _obstacle(workspace: Workspace, body: Any) -> str:
-    """What a body runs into."""
+def _describe_violation(workspace: Workspace, body: Any) -> str:
     obstacles = np.array(workspace.obstacles, dtype=object)
-    # An obstacle that is gone, an empty one, is at no distance.
+    # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
     distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
     return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
 
 
-def _name(encounter: _Encounter) -> str:
+def _describe_pair(encounter: _Encounter) -> str:
     if encounter.other_path is None:
         return f"of robot {encounter.who[0]} to an obstacle or the bounds"
     return f"of robots {encounter.who[0]} and {encounter.who[1]}"

@@ -1,4 +1,4 @@
-"""Measure the error of an approximate distance function."""
+"""Errors of an approximate distance function, measured against the exact one."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,28 +14,27 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import FreeTest
 
 __all__ = ["ErrorReport", "error_grid", "error_map"]
-
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
-_DIGITS = 4  # of the largest distance, to which a place is told, however far from the origin it is
+_DIGITS = 4  # digits of a printed position, relative to the largest distance
 
 
 @dataclass(frozen=True)
 class ErrorReport:
     """Error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over many points.
 
-    ``max``, ``mean`` and ``quantiles`` are over the points where both are finite, in workspace units; the
-    points where only one of them is are counted instead. All fields are plain numbers, fit for JSON.
+    ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite. Other
+    points are counted. All fields are plain Python numbers that JSON can store.
 
     Attributes:
         max: Largest error.
         mean: Mean error.
-        quantiles: Errors not exceeded by a share 0.5, 0.9, 0.99 and 0.999 of the points.
-        max_at: The point of the largest error, ``(dim,)``.
-        max_distance: Largest distance ``V``; a scale for the errors.
-        num_points: Points asked about.
-        num_unreachable: Points where ``V`` is infinite: no error is defined there.
-        num_unanswered: Points where ``V`` is finite and ``L`` is not. Should be 0; an approximation that
-            prunes a search must not leave any.
+        quantiles: Errors that a share of 0.5, 0.9, 0.99 and 0.999 of the points does not exceed, by share.
+        max_at: Point of the largest error, ``(dim,)``.
+        max_distance: Largest distance ``V``, as a scale for the errors.
+        num_points: Number of points.
+        num_unreachable: Points where ``V`` is infinite; the error is undefined there.
+        num_unanswered: Points where ``V`` is finite and ``L`` is not. It should be 0 for an approximation that prunes
+            a search.
         num_invented: Points where ``V`` is infinite and ``L`` is finite.
     """
 
@@ -64,35 +63,29 @@ def error_map(
     distance_fn: DistanceFn,
     x: ArrayLike,
 ) -> ErrorReport:
-    """Measure an approximation against a distance function.
+    """Measure the error of an approximation at given points: ``epsilon_g`` of Putman et al., Section IV-A.
 
     Args:
-        approximation: What is judged: a PLR, or any function from points ``(n, dim)`` to ``(n,)`` numbers.
-        distance_fn: The reference, ``(n, dim) -> (n,)``; infinite where unreachable.
-        x: Where, ``(n, dim)`` points, at least one: ``workspace.sample_free(n, seed)``, or the cell centers
-            ``workspace.bounds.grid(resolution).reshape(-1, 2)``, of which those that are not free do not count.
-
-    Returns:
-        The report.
+        approximation: A PLR, or any function of points ``(n, dim)`` that returns ``(n,)`` numbers.
+        distance_fn: The exact distance function, ``(n, dim) -> (n,)``; infinite where the goal is unreachable.
+        x: Points ``(n, dim)``, at least one: for example ``workspace.sample_free(n, seed)``, or the cell centers
+            ``workspace.bounds.grid(resolution).reshape(-1, 2)``, where points that are not free count as unreachable.
 
     Raises:
-        ValueError: If ``x`` has another shape or no row, the reference is infinite at all points, either
-            function gives the wrong shape, or the reference gives NaN.
-
-    References:
-        The error ``epsilon_g`` of Putman et al., Section IV-A, Fig. 2 and Table I.
+        ValueError: If ``x`` has another shape or no rows, the distance function is infinite at all points or NaN at
+            one, or a function returns a wrong shape.
     """
     x = as_points("x", x)
     if len(x) == 0:
-        raise ValueError("An error needs points to be measured at, got none.")
+        raise ValueError("x must hold at least one point, got none.")
     distance = as_distances("The distance function", distance_fn(x.copy()), x)
     answer = as_values("The approximation", approximation(x.copy()), len(x))
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
     both = reachable & answered
     if not both.any():
         raise ValueError(
-            f"No error is defined: of {len(x)} points the distance function is finite at "
-            f"{reachable.sum()}, and the approximation at none of those."
+            f"No error is defined: of {len(x)} points, the distance function is finite at {reachable.sum()}, "
+            "and the approximation is finite at none of these."
         )
     error = np.abs(answer[both] - distance[both])
     worst = int(np.argmax(error))
@@ -117,23 +110,23 @@ def error_grid(
     at: Mapping[int, float | int] | None = None,
     resolution: int = 512,
 ) -> Float[np.ndarray, "rows columns"]:
-    """Error ``|L(x) - V(x)|`` at the cell centers of a grid over the workspace: the picture of Fig. 2.
+    """Compute the error ``|L(x) - V(x)|`` on a grid of cell centers over the workspace, as in Fig. 2 of the paper.
 
     Args:
-        approximation: What is judged, as in :func:`error_map`.
-        distance_fn: The reference.
-        workspace: Where. In its place, a configuration space, whose free configurations count.
-        at: Of a space of more than two dimensions, where the slice is that the grid is of: coordinates by axis,
-            counted from 0, of all axes but two.
-        resolution: Number of square cells along the longer side of the bounds.
+        approximation: A PLR, or another function, as in :func:`error_map`.
+        distance_fn: The exact distance function.
+        workspace: The workspace, or a configuration space whose free configurations count.
+        at: For a space of more than two dimensions, the slice that the grid covers: coordinates of all axes but two,
+            by axis number from 0.
+        resolution: Number of square cells along the longer side of the bounds, at least 1.
 
     Returns:
-        Errors, row 0 at the lowest ``y``. NaN where not free or not reachable; infinite where the
-        approximation has no answer for a reachable point.
+        Errors ``(rows, columns)``; row 0 has the lowest ``y``. NaN where a cell center is not free or not reachable,
+        ``inf`` where only the approximation is not finite.
 
     Raises:
-        ValueError: If either function gives the wrong shape, the reference gives NaN, ``at`` leaves other than two
-            axes or leads outside the domain, or the resolution is less than 1.
+        ValueError: If a function returns a wrong shape, the distance function returns NaN, ``at`` leaves other than
+            two axes or lies outside the domain, or the resolution is less than 1.
     """
     domain = workspace.bounds if isinstance(workspace, Workspace) else workspace.domain
     centers = Slice.of(domain, at).grid(resolution)

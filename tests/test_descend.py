@@ -185,7 +185,7 @@ def test_no_starts_and_no_corners(space):
         (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (nothing_known, 3, [(1, 1)], (1, 1), None, "space must be a configuration space"),
-        (nothing_known, CheckedSpace(PlaneSpace(SQUARE)), [(1, 1)], (1, 1), None, "with classify and are_free"),
+        (nothing_known, CheckedSpace(PlaneSpace(SQUARE)), [(1, 1)], (1, 1), None, "must have classify and are_free"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (3, 1), None, "The goal .* not a free configuration"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (1, 1, 1), None, "The goal must be one point"),
         (nothing_known, SQUARE, [(1, 1)], (1, 1), 2.0, "cost_map must be a CostMap"),

@@ -87,7 +87,7 @@ def test_impossible_problems_are_refused(starts, goals, robots, message):
 def test_a_goal_cut_off_is_refused():
     problem([(0.2, 0.5)], [(0.8, 0.5)], DISCS[:1])  # exactly as wide as the passage
     closed = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.6, 0), (0.6, 1), (0.4, 1)]])
-    with pytest.raises(ValueError, match=r"Robot 1 has its goal .* cut off .* no way for it"):
+    with pytest.raises(ValueError, match=r"Robot 1 has its goal .* cut off .* no path for it"):
         Problem(closed, POINT * 2, [(0.1, 0.1), (0.2, 0.2)], [(0.2, 0.9), (0.9, 0.9)])
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from plr_jax._problem import Problem, path_cost
 from plr_jax._validate import validate
-from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
 from plr_jax.robots.robot import Robot
 
 _PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar")
@@ -169,7 +169,7 @@ def _solution(problem: Problem, planner: str, messages: list[Message], interrupt
     samples = done.samples[..., : problem.dof]
     stats = Stats(len(samples), 0, done.num_checked, done.num_free, seconds, tuple(history))
     status = Status.INTERRUPTED if interrupted else status
-    return solution_of(problem, path, straight_line_bound(problem), status, stats, samples)
+    return make_solution(problem, path, straight_line_bound(problem), status, stats, samples)
 
 
 def _as_valid(

@@ -1,13 +1,11 @@
-"""Bodies in straight motion, and the bisection of their motions until what a kernel says of them is certain.
+"""Separation tests for convex bodies in straight motion, by bisection of the motions until a kernel is certain.
 
-A motion goes from one configuration to another in one unit of time: the position at constant velocity, the
-heading at a constant rate along the shorter turn. Touching is no collision.
-
-Over a piece of a motion, a body is shut off from another by an axis that stands still or rides with one of the
-two: the gap along it deviates from its linear interpolation by at most an eighth of its largest second derivative,
-so the smaller of the gaps at the piece's two ends, less that *bulge*, holds throughout. Bulges fall fourfold at
-each bisection, and vanish for bodies that only translate, whose answer is therefore exact. A piece that is still
-uncertain at the last bisection counts as a collision.
+In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
+Touching is no collision. A kernel looks for an axis that separates two bodies in a piece of their motions; the axis
+is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most an eighth of its
+largest second derivative. So the smaller gap at the two ends of the piece, less this *bulge*, is a lower bound. Each
+bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. A piece that is still
+uncertain after the last bisection counts as a collision.
 """
 
 import math
@@ -22,14 +20,14 @@ from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots.robot import Robot, shorter_turn
 
 _MAX_BISECTIONS = 12
-_CORNERS = 1 << 16  # of bodies at a time, between two looks at the clock, which bounds the temporaries as well
-
+_CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clock; bounds the temporary memory
+_FEW = 24  # corners up to which the lowest one is searched exhaustively
 Column: TypeAlias = Float[np.ndarray, "n"]
 Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
-    """Bodies in straight motion, one a column. What their size holds is between a kernel and its caller."""
+    """Bodies in straight motion, one per column; the meaning of ``size`` is up to the kernel."""
 
     size: Float[np.ndarray, "*size n"]
     x: Column
@@ -41,26 +39,26 @@ class MovingBodies(NamedTuple):
 
     @property
     def num_corners(self) -> int:
-        """Corners of each, or the numbers that its size holds."""
+        """Number of corners of each body, or the length of its size."""
         return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
-        """The bodies of some columns, by index, mask or slice."""
+        """Return the bodies of some columns, given by index, mask or slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
-    def sized(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
-        """The same motions of bodies that all have one size."""
+    def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
+        """Return the same motions for bodies that all have one size."""
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
-        """The first and the second half of each motion, side by side."""
+        """Return both halves of each motion, in adjacent columns."""
         half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 
 
-def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """A robot's motions, their size left open; one without a heading keeps 0."""
+def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
+    """Return a robot's motions, without sizes; the heading of a robot without one is 0."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
         heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
@@ -68,24 +66,20 @@ def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-# What a kernel says: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not.
 Booleans: TypeAlias = Bool[np.ndarray, "n"]
-Verdict: TypeAlias = tuple[Booleans, Booleans]
-Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
+Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly keep the distance, that certainly do not
+SeparationKernel: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
 
 
-def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf) -> Booleans:
-    """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
+def bisect(
+    kernel: SeparationKernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
+) -> Booleans:
+    """Return whether bodies certainly keep the distance ``reach``, bisecting motions until the kernel is certain.
 
-    Below 0, ``reach`` is a depth to which they may overlap. A few are judged at a time, their halves before the
-    others, so that memory stays small however many corners they have and however long they are in doubt.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
     """
     k, m = a.num_corners, b.num_corners
-    # Where a distance is to be kept, every corner meets every other.
-    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))
+    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # a distance takes all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
     waiting = [(a, b, np.arange(len(a.x)), 0)]
     while waiting:
@@ -95,7 +89,7 @@ def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadlin
                 waiting.append((a.take(part), b.take(part), owner[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
-        clear, hit = judge(a, b, reach)
+        clear, hit = kernel(a, b, reach)
         apart[owner[hit]] = False
         unsure = ~clear & apart[owner]
         if bisections == _MAX_BISECTIONS:
@@ -107,10 +101,10 @@ def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadlin
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
-    """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
+    """Return the bulges of gaps along an axis that turns with ``a``, and along one that turns with ``b``.
 
-    These are the bulges of the offset between the two and of the other body's turn, as seen from the one. Their
-    rims say how far the bodies reach from their reference points.
+    They cover the offset and the turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed
+    radius.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
@@ -121,32 +115,23 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Colu
 
 
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
-    """The unit normal of the relative motion, the y axis where there is none."""
+    """Return the unit normal of the relative motion, or the y axis if there is none."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
     return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
 
 
-# The kernels that judge whether bodies are apart: boxes, boxes and points, and convex bodies of any kind.
-
-
-# The kernel for convex bodies of any number of vertices, whose distance is that of their Minkowski difference.
-
-
 Sides = Float[np.ndarray, "sides n"]
 Corners = Float[np.ndarray, "2 _ n"]
 Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
-_FEW = 24  # corners up to which the lowest is sought among all
-
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Two convex bodies, given by their vertices ``(2, vertices)`` in their own frames, counterclockwise.
+    """Kernel for convex bodies, given by counterclockwise vertices ``(2, vertices)`` in their own frames.
 
-    The axes: normal to the sides of both, which ride with them; across the relative motion; and, where a distance is
-    to be kept, through the two points at which they are nearest to one another. The last one is what keeps corners
-    apart from corners, and makes the answer exact where nothing turns.
+    It tries the normals of all sides, which turn with their body, and the normal of the relative motion. If ``reach``
+    is positive, it also tries the line through the nearest points, which makes the result exact if nothing turns.
     """
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
@@ -167,7 +152,7 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
 
 
 def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
-    """Corners of both at one end of each motion, seen from the first's reference point."""
+    """Return both bodies' corners at one end of each motion, relative to the first reference point."""
     turned = []
     for body in (a, b):
         (c, s), (x, y) = _heading(body, end), body.size
@@ -176,18 +161,16 @@ def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, 
 
 
 def _heading(body: MovingBodies, end: float) -> Columns:
-    """Cosine and sine of the heading at the first (0) or last (1) end of each motion."""
     theta = body.theta + end * body.turn
     return np.cos(theta), np.sin(theta)
 
 
 def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
-    """Where the second's reference point is, seen from the first's, at one end of each motion."""
     return b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Gap between two bodies along the normal of each side of the first; a single corner has no sides."""
+    """Return the gaps between two bodies along the normals of the first one's sides; one corner has no sides."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -196,13 +179,13 @@ def _side_gaps(p: Corners, q: Corners) -> Sides:
 
 
 def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
-    """How far the corners of a body reach down along some directions: the least of their products with each."""
+    """Return the least scalar product of a body's corners with each direction."""
     num_corners, n = q.shape[1:]
     stride = 1 << ((num_corners - 1) // _FEW).bit_length()
     heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
     if stride == 1:
         return heights.min(axis=1)
-    # Around a convex body heights fall and rise once: the lowest is less than a stride from the lowest of every few.
+    # Heights fall and rise once around a convex body, so the lowest corner is within a stride of the lowest sample.
     corner, (x, y) = stride * heights.argmin(axis=1), q.reshape(2, -1)
     while stride > 1:
         stride //= 2
@@ -215,16 +198,16 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """The smaller of the gaps at both ends along a direction from the first body to the second."""
+    """Return the smaller of the gaps at both ends along a direction from the first body to the second."""
     gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
     return np.minimum(*gaps)
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """The direction in which bodies come nearest to one another, and their distances at both ends.
+    """Return the direction in which two bodies are nearest to one another, and their distances at both ends.
 
-    The Minkowski difference of bodies that are apart, swept by a translation, is nearest to the origin on an edge: a
-    side of the one less a corner of the other, at either end, or the way of a corner less a corner.
+    The swept Minkowski difference is nearest to the origin on an edge: a side less a corner, or a corner's path less
+    a corner.
     """
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
@@ -239,8 +222,8 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
 
 
-def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Two boxes and a depth of overlap: axes along the sides of both, and across their relative motion."""
+def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    """Kernel for two boxes and a depth of overlap: axes along the sides, and the normal of the relative motion."""
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
@@ -250,25 +233,24 @@ def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
     gap = np.abs(nx * (b.x - a.x) + ny * (b.y - a.y)) - np.maximum(*supports) - bulge
     for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
-        # The same side at both ends: the axis does not change its sense within the piece.
+        # The other body must be on the same side of the axis at both ends.
         along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
         gap = np.maximum(gap, along - bulge)
     clear = gap >= reach
-    # At a single time, the sides' axes decide.
+    # At each end, the axes along the sides decide (separating axis theorem).
     separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
     return clear, (separation < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
-def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """A box and a point, seen from the box: that is at rest, and the point's curve is near a segment."""
+def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    """Kernel for a box and a point, in the frame of the box, where the point's curve is close to a segment."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
-        # Signed distance of the point to the box, negative inside.
         beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
-        distances.append(
+        distances.append(  # signed distance to the box, negative inside
             np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
         )
     bulge, _ = rotation_bounds(a, b, *b.size)  # a point has no rim
@@ -278,7 +260,7 @@ def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdi
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
-    """Offset of the centers, and what the bodies fill of it, along two sides of ``a`` and two of ``b``."""
+    """Return the offset of the centers and the sum of both half widths, along two sides of ``a`` and two of ``b``."""
     (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
@@ -291,13 +273,12 @@ def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at
 
 
 def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Column:
-    """How far a box reaches from its center along a direction."""
     (c, s), (half_length, half_width) = heading, body.size
     return half_length * np.abs(c * nx + s * ny) + half_width * np.abs(c * ny - s * nx)
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Distance of the inner part of segments to boxes about the origin; a depth, negative, where they cross."""
+    """Return the distances of segments to boxes around the origin; negative depths where they cross."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

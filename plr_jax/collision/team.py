@@ -1,6 +1,8 @@
-"""Collision of a team along simultaneous straight motions: with the workspace, of each two robots.
+"""Collision tests of a team along simultaneous straight motions: with the workspace, and between robots.
 
-Along a path, only robots near one another are tested exactly, those of one kind in one batch.
+During a motion, a robot stays in a circle around the motion's midpoint, whose radius is half the motion's length plus
+the robot's radius. Along a path, only robots with overlapping circles are tested exactly, each kind in one batch. The
+tolerance of the exact tests covers the rounding of the circles.
 """
 
 import math
@@ -18,24 +20,24 @@ from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import (
     Column,
     bisect,
+    box_point_separation,
+    box_separation,
     convex_separation,
-    judge_box_and_point,
-    judge_boxes,
-    moving,
+    moving_bodies,
 )
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
-# Circles around the motions of a team along a path, which tell most robots that cannot meet.
-#
-# A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's
-# length and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that
-# is well within the tolerance of exact tests.
-
-
-_CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache
+_CHUNK = 1 << 13  # distances of circles at a time, so that temporaries stay in the processor's cache
+_MOST = 1 << 18  # pairs of motions whose circles are compared at a time
+_CHUNK_PAIRS = 1 << 13  # pairs of motions tested exactly at a time
+OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
+OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
+Motions: TypeAlias = Float[np.ndarray, "m dof"]
+Rows: TypeAlias = Int[np.ndarray, "m"]
+Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
@@ -47,11 +49,7 @@ class Circles(NamedTuple):
 
 
 class TeamTrajectory:
-    """A path of a team, whose robots can be given other motions, and a circle around each of its motions.
-
-    Attributes:
-        path: The joint configurations ``(steps, robots, dof)``, a copy of those given; :meth:`move` changes them.
-    """
+    """A copy of a team's path whose motions can be replaced, with a circle around each motion."""
 
     def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
         self.path = path.copy()
@@ -61,22 +59,16 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Have robot ``i`` go other motions, in some rows of the path that begin and end as they did."""
+        """Replace robot ``i``'s motions in some rows of the path, which must begin and end as before."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
-    def near(
+    def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
-
-        In each of ``n`` rows its position stays within a circle.
-
-        Returns:
-            Rows, and the other robots that may come within reach in them, row by row.
-        """
+        """Return rows and robots that may meet robot ``i``, which is in ``around[row]`` during ``motion[row]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -95,30 +87,30 @@ class TeamTrajectory:
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
-    """Rows in which two robots may meet whose positions stay within circles."""
+    """Return the rows in which two robots may meet if their positions stay within circles."""
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Circles around the ways from any of ``k`` positions to any of ``l``, in each row."""
+    """Return circles around the motions from any of ``k`` positions to any of ``l`` positions, in each row."""
     return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Circles around the ways from any of the positions in a row to any in the next."""
+    """Return circles around the motions from any position in a row to any position in the next row."""
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
 
 def _between(one: Circles, other: Circles) -> Circles:
-    """Circles around the ways from anywhere within some circles to anywhere within others."""
+    """Return circles around all motions from one circle to another."""
     radius = np.hypot(other.x - one.x, other.y - one.y) / 2 + np.maximum(one.radius, other.radius)
     return Circles((one.x + other.x) / 2, (one.y + other.y) / 2, radius)
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
-    """Circles around the positions in each row."""
+    """Return circles around the positions in each row."""
     if q.shape[1] == 1:
         return Circles(q[:, 0, 0], q[:, 0, 1], np.zeros(len(q)))
     lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
@@ -126,33 +118,14 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
     return Circles(x, y, np.hypot(hi[:, 0] - x, hi[:, 1] - y))
 
 
-# Collision of two robots along simultaneous straight motions, by the kernel that fits what both are.
-
-
-_MOST, _CHUNK_PAIRS = 1 << 18, 1 << 13  # pairs of motions at a time: whose circles are compared, that are gathered
-
-OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
-OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
-Motions: TypeAlias = Float[np.ndarray, "m dof"]
-Rows: TypeAlias = Int[np.ndarray, "m"]
-Apart: TypeAlias = Bool[np.ndarray, "*batch"]
-
-
 def motions_apart(
     robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
 ) -> Apart:
-    """Whether two robots stay clear of one another while both move, from ``a0`` to ``a1`` and from ``b0`` to ``b1``.
+    """Return whether two robots keep clear of one another while they move from ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    The batch shapes broadcast, so that every motion of one robot can be tested against every motion of the
-    other without copies of either. An overlap as deep as the tolerance, ``Workspace.tolerance``, is touching.
-
-    Returns:
-        True where they at most touch. Exact for two round robots, and where nothing turns; else a motion that
-        comes within about 1e-7 of a turning robot's size to a collision may be refused, and one that collides
-        never passes.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    The batch shapes broadcast. An overlap up to ``tolerance``, usually ``Workspace.tolerance``, counts as touching,
+    which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion may be
+    rejected that comes within about 1e-7 of a robot's size to a collision, but no collision is accepted.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -166,68 +139,69 @@ def motions_apart(
         return apart
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
-    distance = np.asarray(distance_to_segment(x, y, dx, dy))  # of the reference points, where it is least
+    distance = np.asarray(distance_to_segment(x, y, dx, dy))  # least distance of the reference points
     outer = robot_a.circumscribed_radius + robot_b.circumscribed_radius
     inner = robot_a.inscribed_radius + robot_b.inscribed_radius
     apart = distance >= outer - tolerance
-    if inner == outer:  # both are round
+    if inner == outer:  # two discs or points
         return apart
     where = np.nonzero(~apart & (distance >= inner - tolerance))
     reach = robot_a.rounding + robot_b.rounding - tolerance
-    # The fastest kernel that answers for two robots, and their sizes as it takes them.
+    # Choose the fastest kernel that applies to both robots, and the sizes that it expects.
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
-    judge, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
+    kernel, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
-        judge, size_a, size_b = judge_boxes if half_a.any() and half_b.any() else judge_box_and_point, half_a, half_b
-    is_swapped = judge is judge_box_and_point and not size_a.any()  # the box is first
+        kernel, size_a, size_b = (
+            box_separation if half_a.any() and half_b.any() else box_point_separation,
+            half_a,
+            half_b,
+        )
+    is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
-        a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
-        apart[rows] = bisect(judge, *((b, a) if is_swapped else (a, b)), reach, deadline)
+        a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
+        apart[rows] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
     return apart
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots.
-
-    Past the deadline, on the clock of ``time.perf_counter``, tests raise ``TimeoutError``.
-    """
+    """A test whether straight joint motions of a team hit no obstacle and no other robot, up to a deadline."""
 
     workspace: Workspace
     robots: Sequence[Robot]
     deadline: float = math.inf
 
     @cached_property
-    def of_walls(self) -> tuple[MotionTest, ...]:
-        """Each robot's own motion test."""
+    def wall_tests(self) -> tuple[MotionTest, ...]:
+        """The robots' motion tests against obstacles and bounds."""
         return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
 
     @cached_property
     def first_equal(self) -> Int[np.ndarray, "robots"]:
-        """For each robot the first that is equal to it."""
+        """For each robot, the first robot that equals it."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
     def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
-        """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
+        """Return whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
         free = np.ones(len(q0), dtype=bool)
-        for i, test in enumerate(self.of_walls):
+        for i, test in enumerate(self.wall_tests):
             free[free] = test(q0[free, i], q1[free, i], self.deadline)
         for i, j in combinations(range(len(self.robots)), 2):
             free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
         return free
 
     def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
-        """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
+        """Return whether robots ``i`` and ``j`` keep clear of one another (see :func:`motions_apart`)."""
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
-        self, i: int, begin: Motions, end: Motions, traffic: TeamTrajectory, motion: Rows, other: Rows
+        self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
-        others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]
+        """Return which motions of robot ``i`` collide with given motions of other robots along a trajectory."""
+        others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)
         result = np.empty(len(motion), dtype=bool)

@@ -1,7 +1,4 @@
-"""Whether a ball keeps off blocked voxels: at points, anywhere in boxes, and on straight motions.
-
-As in :class:`VoxelGrid`, arrays have an axis of space first.
-"""
+"""Tests whether a ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
 
 from collections.abc import Iterator
 from fractions import Fraction
@@ -13,22 +10,23 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 
-_MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # which bounds the memory
-_SHORT = 0.5  # of a voxel's sides, a piece of a motion beside which voxels are looked at one by one
-
+_MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # batch sizes, which bound the memory
+_SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against single voxels
+_NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
+_LEAST_TIME = 1e-300  # absolute slack for times that may have lost digits by underflow
 Booleans = Bool[np.ndarray, "n"]
 Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Whether a blocked voxel is nearer than a radius to boxes, exact but for rounding.
+    """Return whether a blocked voxel is nearer than a radius to boxes, exact up to rounding.
 
-    With ``lo`` and ``hi`` exchanged: whether all of a box is nearer than that to one blocked voxel.
+    With ``lo`` and ``hi`` swapped: whether one blocked voxel is nearer than the radius to all of a box.
     """
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
     doubtful = within.copy()
-    for axis in range(grid.dim):  # straight ahead along the axis
+    for axis in range(grid.dim):  # exact for blocked voxels straight ahead along the axis
         ahead = (np.arange(grid.dim) == axis)[:, None]
         doubtful &= grid.num_blocked(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
     doubtful = np.flatnonzero(doubtful)
@@ -39,14 +37,13 @@ def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: fl
 
 
 def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Numbers, Numbers]:
-    """The first and the last voxel along every axis that closed boxes touch."""
     return grid.numbers(lo)[0], grid.numbers(hi)[1]
 
 
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Rows of voxels along the last axis, as far as they are nearer than a radius to boxes: box, first and last."""
+    """Yield rows of voxels along the last axis within a radius of boxes: box, first and last voxel of each row."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -69,22 +66,21 @@ def _rows_within(
 def _gaps(
     grid: VoxelGrid, axis: int, number: Which, lo: Float[np.ndarray, "m"], hi: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """How far apart voxels and intervals are along an axis."""
     faces = grid.faces[axis]
     return np.maximum(np.maximum(faces[number] - hi, lo - faces[number + 1]), 0.0)
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Whether a ball keeps off blocked voxels on straight motions, exact but for rounding."""
+    """Return whether a ball keeps clear of blocked voxels on straight motions, exact up to rounding."""
     passes = np.zeros(q0.shape[1], bool)
     for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
         some = slice(begin, begin + _MOTIONS_AT_ONCE)
-        passes[some] = _keeps_off(grid, q0[:, some], q1[:, some], radius)
+        passes[some] = _ball_keeps_clear(grid, q0[:, some], q1[:, some], radius)
     return passes
 
 
-def _keeps_off(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """By halves: pieces whose boxes are near something, until they are short or their middle is too near."""
+def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+    """Bisect motions, and test pieces near blocked voxels, until they are short or certainly collide."""
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion, share = np.flatnonzero(keeps_off), 1.0
     begin = np.zeros(len(motion))
@@ -95,13 +91,11 @@ def _keeps_off(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float)
         motion, begin, a, b = motion[near], begin[near], a[:, near], b[:, near]
         middle = (a + b) / 2
         keeps_off[motion[blocked_within(grid, middle, middle, radius)]] = False
-
         short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & keeps_off[motion]
         of, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
             meets = squared_distances(grid, q0[:, of[piece]], q1[:, of[piece]], voxel) < radius**2
             keeps_off[of[piece[meets]]] = False
-
         halved = keeps_off[motion] & ~short
         motion, begin, share = motion[halved], begin[halved], share / 2
         motion, begin = np.append(motion, motion), np.append(begin, begin + share)
@@ -111,7 +105,7 @@ def _keeps_off(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float)
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Blocked voxels nearer than a radius to boxes, some at a time: box and voxel."""
+    """Yield blocked voxels nearer than a radius to boxes, in batches of boxes and voxels."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -122,10 +116,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Squared distances of straight motions to voxels.
-
-    Along a motion the square is convex, and a parabola between the times at which it is level with a face.
-    """
+    """Return each motion's least squared distance to its voxel; the square is convex and piecewise parabolic."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -138,7 +129,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
     times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
-    # Between the last time at which the square falls and the next one the slope is linear, and 0 at the least.
+    # The slope is linear between the last time at which it is negative and the next time: find its zero.
     after = np.count_nonzero(slopes < 0, axis=0)
     before, after = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
     (t0, t1), (s0, s1) = (
@@ -148,42 +139,28 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     return np.sum(excess(t0 + np.clip(share, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
 
-# Whether a point passes between voxels on straight motions.
-
-
-_AT_ONCE = 1 << 14  # motions, which bounds the memory
-_NEARLY = 1 + 2.0**-49  # ratio of computed times up to which rounding may have changed their order
-_LEAST_TIME = 1e-300  # below which times have lost digits
-
-
 def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
-    """Whether a point passes on straight motions, which may touch blocked voxels; exact.
-
-    It does not pass between voxels that touch in an edge or a corner.
-    """
+    """Return whether a point passes on straight motions without entering blocked voxels; touching is allowed."""
     passes = np.zeros(q0.shape[1], bool)
-    for begin in range(0, q0.shape[1], _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
+    for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
+        some = slice(begin, begin + _MOTIONS_AT_ONCE)
         passes[some] = _Traversal(grid, q0[:, some], q1[:, some]).passes()
     return passes
 
 
 class _Traversal:
-    """Motions from voxel to voxel, all at once, one crossing of faces of each at a time.
+    """Exact traversal of voxels along many motions at once, one crossing of faces per step.
 
-    A motion within a face, or an edge, runs beside several voxels. On a crossing it may get from one to another
-    through faces of those around the point, of which ``2**dim`` are looked at: some of them the same one where the
-    point is on no face along an axis.
-
-    References:
-        J. Amanatides, A. Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
+    A motion within a face or an edge touches several voxels at once. So the state of a motion is the set of voxels,
+    among the ``2**dim`` around its current point, that it can be in. It cannot pass between blocked voxels that share
+    only an edge or a corner. See Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", 1987.
     """
 
     def __init__(self, grid: VoxelGrid, q0: Coordinates, q1: Coordinates):
         self.grid, self.q0, self.q1 = grid, q0, q1
         (below, above), (below_end, above_end) = grid.numbers(q0), grid.numbers(q1)
         self.step = np.sign(q1 - q0).astype(np.int64)
-        self.layers = np.where(self.step == 0, above - below, 0)  # 1 along axes of faces that a motion is within
+        self.layers = np.where(self.step == 0, above - below, 0)  # 1 along axes on which a motion is within a face
         self.at = np.where(self.step > 0, above, below)
         self.last = np.select([self.step > 0, self.step < 0], [below_end, above_end], self.at)
         self.corner = np.arange(2**grid.dim)
@@ -192,7 +169,7 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
-        """Whether each comes to its end."""
+        """Return whether each motion reaches its end."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)
@@ -208,20 +185,22 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, "some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        """Let motions cross the next faces on their way; which voxels beyond they get to."""
+        """Move each motion across its next faces; return which voxels beyond them it can be in."""
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
-        # Where all are free, the order of crossings that are nearly at once makes no difference.
+        # The order of nearly simultaneous crossings matters only if some voxel around is blocked.
         narrow = np.flatnonzero(~around.all(axis=1))
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
             of = rows[doubtful]
-            crossed[:, doubtful] = _first(crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of])
+            crossed[:, doubtful] = _first_crossed(
+                crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of]
+            )
             around[doubtful] = self._free_around(
                 of, np.where(crossed[:, doubtful], step[:, doubtful], layers[:, doubtful])
             )
-        # The corner beyond the crossed faces, and on the near side along the other axes.
+        # Voxels beyond the crossed faces are reached from free voxels on the near side.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
         reached = around
         reached[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
@@ -229,12 +208,12 @@ class _Traversal:
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 
     def _free_around(self, rows: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        """Which voxels are free: where motions are, and those that spans along the axes lead to."""
+        """Return which of the voxels around the current points, and up to ``span`` beyond, are free."""
         at = self.strides @ self.at[:, rows]
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Which faces are crossed next, some perhaps only nearly at once; and where those are."""
+        """Return the axes of the faces that are crossed next or nearly next, and the faces' coordinates."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
@@ -243,10 +222,10 @@ class _Traversal:
         return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face
 
 
-def _first(
+def _first_crossed(
     crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
 ) -> Bool[np.ndarray, "dim n"]:
-    """Of faces that are crossed nearly at once those that are first, by arithmetic without rounding."""
+    """Select the faces that are crossed first among faces crossed nearly at once, in rational arithmetic."""
     first = np.zeros_like(crossed)
     for i in range(crossed.shape[1]):
         axes = np.flatnonzero(crossed[:, i])

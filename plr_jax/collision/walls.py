@@ -1,8 +1,7 @@
-"""Collision of one robot with a workspace along straight motions.
+"""Collision tests of one robot with a workspace along straight motions.
 
-A grid over the bounds holds the clearance of each cell's center and the walls near it. The clearance decides
-most motions at once: it changes by at most as much as one moves. The others are tested against the walls of
-their cell.
+A grid over the bounds stores the clearance at each cell's center and the walls near it. The clearance changes by at
+most the distance moved, which decides most motions at once. The others are tested against the walls of their cell.
 """
 
 import math
@@ -15,35 +14,39 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
-from plr_jax.collision.bodies import Booleans, Column, MovingBodies, bisect, convex_separation, judge_boxes, moving
+from plr_jax.collision.bodies import (
+    Booleans,
+    Column,
+    MovingBodies,
+    bisect,
+    box_separation,
+    convex_separation,
+    moving_bodies,
+)
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
-# At a time, between two looks at the clock: motions; pieces of them and edges near; cells of the grid.
-_CHUNK, _PAIRS, _CENTERS = 1 << 14, 1 << 17, 1 << 13
-_OF_POINT = 128  # edges that count for a point, which is tested against all
+_CHUNK = 1 << 14  # motions at a time
+_PAIRS = 1 << 17  # pairs of pieces and edges at a time, between two checks of the clock
+_CENTERS = 1 << 13  # cells at a time while the grid is built, between two checks of the clock
+_EDGES_PER_POINT = 128  # estimated work for a point, whose visibility is tested among all edges
 _CELLS = (64, 256)  # fewest and most cells along the longer side
-_POINT_CELLS = 128
+_POINT_CELLS = 128  # cells along the longer side for a point
 _PURPOSE = "all motions were tested"
-
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
 class MotionTest:
-    """Whether straight motions of a robot are free of obstacles and within the bounds.
+    """A test whether straight motions of a robot are free of obstacles and within the bounds; touching is free.
 
-    The robot goes from one configuration to another at constant velocity, turning at a constant rate by
-    the shorter turn. Touching is free. Configurations of a wrong shape, or not finite, raise ``ValueError``.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    The position moves at constant velocity, and the heading turns at a constant rate, the shorter way. The
+    constructor and the tests raise ``TimeoutError`` past the deadline, on the clock of ``time.perf_counter``.
     """
 
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         self.workspace, self.robot = workspace, robot
-        # A grid of cells, row by row, about half as large as the robot.
-        # One no larger than the tolerance is a point: no wall is within its reach by more than that.
+        # The cells are about half as large as the robot. A robot no larger than the tolerance counts as a point.
         width, size = workspace.bounds.width, robot.circumscribed_radius
         self._is_point = size <= workspace.tolerance
         size = 0.0 if self._is_point else size
@@ -52,10 +55,9 @@ class MotionTest:
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
         x, y = (lo + (np.arange(num) + 0.5) * cell for lo, num in zip(workspace.bounds.lo, self._shape, strict=True))
         centers = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
-        # A point's walls are looked up by the workspace, whatever the length of its motion.
-        self._longest = max(2 * cell, size) if size > 0 else np.inf
+        self._longest = max(2 * cell, size) if size > 0 else np.inf  # the workspace finds a point's walls
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
-        # The clearance of each center, and the edges within its reach: of cell i those from first[i] to first[i + 1].
+        # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
         segments: Any = shapely.linestrings(workspace.boundary.segments)
         tree = shapely.STRtree(segments)
         counts, edges, clearance = [], [], []
@@ -71,13 +73,10 @@ class MotionTest:
         self._clearance = np.concatenate(clearance)
 
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
-        """Whether motions from ``q0`` to ``q1`` are free all along, to ``workspace.tolerance``.
+        """Return whether motions from ``q0`` to ``q1`` are free all along, up to ``workspace.tolerance``.
 
-        The heading of a robot that has none may be there or not. Exact for points and discs, and where nothing turns;
-        a robot that turns may be refused within about 1e-7 of its size from a wall, and is never passed through one.
-
-        Raises:
-            TimeoutError: If the deadline passes first.
+        Exact for points, discs and motions without turns. A turning robot may be rejected within about 1e-7 of its
+        size from a wall, but never passes a wall. Robots without a heading ignore a third coordinate.
         """
         dof = (2, 3)[self.robot.dof - 2 :]
         for name, q in (("q0", q0), ("q1", q1)):
@@ -94,7 +93,7 @@ class MotionTest:
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
-        """Whether a point is where obstacles touch: it must leave on the side it came from, which no motion tells."""
+        """Return whether a point robot is where obstacles touch, and must leave on the side that it came from."""
         boundary = self.workspace.boundary
         if self.workspace.squeeze or not self._is_point or not len(boundary.contacts):
             return np.zeros(q.shape[:-1], dtype=bool)
@@ -102,12 +101,12 @@ class MotionTest:
         return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Whether the robot is certainly free wherever its reference point is within circles."""
+        """Return whether the robot is certainly free wherever its reference point is within circles."""
         cell, away = self._locate(x, y)
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
-        pieces, owner = _pieces(self.robot, q0, q1, self._longest)
+        pieces, owner = _cut_into_pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
         cell, away = self._locate(x, y)
@@ -116,8 +115,7 @@ class MotionTest:
         may_fit = clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance
         unsure = np.flatnonzero(~clear & may_fit)
         clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
-        # Bodies that no wall cuts are wholly within free space or wholly outside: look where one of their points is,
-        # not the reference point, which may touch a wall from either side.
+        # A body that no wall cuts is inside or outside. Test its center: the reference point may touch a wall.
         lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
         (u, v), heading = self.robot.core.mean(axis=0), pieces.theta[lost] + 0.5 * pieces.turn[lost]
         c, s = np.cos(heading), np.sin(heading)
@@ -129,7 +127,7 @@ class MotionTest:
         return clear
 
     def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, "n"], Column]:
-        """The cell of each point, the nearest one outside the grid, and the distance to its center."""
+        """Return the cell of each point (the nearest cell outside the grid), and the distance to its center."""
         lo, (columns, rows) = self.workspace.bounds.lo, self._shape
         column = np.clip((x - lo[0]) / self._cell, 0, columns - 1).astype(np.intp)
         row = np.clip((y - lo[1]) / self._cell, 0, rows - 1).astype(np.intp)
@@ -137,8 +135,7 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
-        """Whether pieces of motions keep off the walls near their cells."""
-        work = np.full(len(cell), _OF_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
+        work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
             require_time(deadline, _PURPOSE)
@@ -151,11 +148,11 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
-        """Whether pieces of motions keep off the edges near their cells."""
+        """Return whether pieces of motions keep clear of the walls near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
-        # 1. Distances of the segments that centers run along to the edges, zero where they cross.
+        # 1. Compare the radii to the distances from the path of the reference point to the edges.
         near, tangent = pieces.take(owner), edges[:, 1] - edges[:, 0]
         length = np.hypot(tangent[:, 0], tangent[:, 1])
         c, s = tangent[:, 0] / length, tangent[:, 1] / length
@@ -170,24 +167,24 @@ class MotionTest:
         clear[owner[distance < robot.inscribed_radius - tolerance]] = False
         if robot.inscribed_radius == robot.circumscribed_radius:
             return clear
-        # 2. The others beside one edge each: a body at rest, a box of no width or of two vertices.
+        # 2. Test the undecided pieces against one edge each: a body at rest, as a flat box or with two vertices.
         doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[owner])
         edges, tangent, rest = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
         reach, half, center = robot.rounding - tolerance, robot.half_sides, edges.mean(axis=1)
         if half is not None and reach <= 0:
-            judge, size, theta = judge_boxes, half, np.arctan2(tangent[:, 1], tangent[:, 0])
+            kernel, size, theta = box_separation, half, np.arctan2(tangent[:, 1], tangent[:, 0])
             of_edges = np.stack([length[doubtful] / 2, rest])
         else:
-            judge, size, theta = convex_separation, robot.core.T, rest
+            kernel, size, theta = convex_separation, robot.core.T, rest
             of_edges = (edges - center[:, None]).transpose(2, 1, 0)
         flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, rest, rest, rest)
-        keeps_off = bisect(judge, near.take(doubtful).sized(size), flat, reach, deadline)
+        keeps_off = bisect(kernel, near.take(doubtful).with_size(size), flat, reach, deadline)
         clear[owner[doubtful[~keeps_off]]] = False
         return clear
 
 
-class Indifferent(float):
-    """A deadline that equals all others as a key of what is kept: when to give up makes no difference to that."""
+class IgnoredByCache(float):
+    """A deadline that equals all others, so that ``lru_cache`` ignores it."""
 
     def __eq__(self, other: object) -> bool:
         return True
@@ -196,19 +193,19 @@ class Indifferent(float):
         return 0
 
 
-_kept = lru_cache(maxsize=16)(MotionTest)
+_cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
-    """The motion test of a robot in a workspace, kept for the next call; ``TimeoutError`` as for the class."""
-    return _kept(workspace, robot, Indifferent(deadline))
+    """Return the cached motion test of a robot in a workspace; raise ``TimeoutError`` past the deadline."""
+    return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
 
 
-def _pieces(
+def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
-    """Motions cut into equal pieces no longer than ``longest``, and their motions if any was cut."""
-    whole = moving(robot, q0, q1)
+    """Cut motions into equal pieces up to ``longest``; also return the motion of each, or None if none was cut."""
+    whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():
         return whole, None

@@ -1,4 +1,4 @@
-"""Room 3, use: heuristics, and the planner of teams, at once or as goals change."""
+"""The team planner, its heuristics, and replanning while the goals or the map change."""
 
 from plr_jax.planners._heuristics import straight_line as straight_line
 from plr_jax.planners._heuristics import sum_of_distances as sum_of_distances

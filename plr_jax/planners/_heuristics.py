@@ -1,4 +1,4 @@
-"""Heuristics: estimates of the cost-to-go of joint configurations, as sums over robots."""
+"""Heuristics of the team planner: estimated costs-to-go of joint configurations, as sums over robots."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,38 +19,30 @@ from plr_jax._types import (
     StackableDistanceFn,
 )
 
-AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # that answers in NumPy or JAX
-# Terms of a heuristic: one a joint configuration and robot, never NaN.
-PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]
-
-# Batches in which distance functions are called one by one: few sizes, as one that is compiled is compiled for each,
-# and near to one another where points are many, as those of an oracle that are not asked for take time.
+AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
+PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
+# Few sizes, as a jitted function compiles once per size; close together if large, as padding costs oracle time.
 _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 
 @dataclass(frozen=True, eq=False)
 class SumOverRobots:
-    """A heuristic that is a sum over robots (a :class:`plr_jax._types.HeuristicFn`).
+    """A heuristic (:class:`plr_jax._types.HeuristicFn`) that is the sum of one term per robot.
 
     Args:
-        per_robot: Its terms, of joint configurations ``(n, robots, dof)``: one a configuration and robot.
-        is_lower_bound: Whether it is nowhere above the true cost-to-go, so that a planner may prove something by it.
+        per_robot: Function of joint configurations ``(n, robots, dof)`` that returns the terms, ``(n, robots)``.
+        is_lower_bound: Whether the sum never exceeds the true cost-to-go, so that it proves a lower bound of path
+            costs.
     """
 
     per_robot: PerRobot
     is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
-        """Estimated cost-to-go: the sum of the terms.
+        """Return the estimated cost-to-go of joint configurations ``(n, robots, dof)``, in workspace units.
 
-        Args:
-            q: Joint configurations, ``(n, robots, dof)``, in workspace units and radians.
-
-        Returns:
-            Estimates, ``(n,)``, in workspace units, never NaN; ``inf`` where a robot has no estimate.
-
-        Raises:
-            ValueError: If ``q`` is not of that shape, or not for the robots that the heuristic is for.
+        The result ``(n,)`` is never NaN, and ``inf`` where a robot has no estimate. ``ValueError`` for another shape
+        or team size.
         """
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.
@@ -58,23 +50,15 @@ class SumOverRobots:
 
 
 def zero() -> SumOverRobots:
-    """The heuristic that knows nothing: 0 everywhere, for any team.
-
-    Returns:
-        The heuristic.
-    """
+    """Return the heuristic that is 0 everywhere, for any team."""
     return SumOverRobots(lambda q: np.zeros(_joint_configurations(q).shape[:2]), is_lower_bound=True)
 
 
 def straight_line(problem: Problem) -> SumOverRobots:
-    """Cost of the robots' straight motions to their goals, turns included, as if there were no obstacles.
+    """Return the heuristic that ignores obstacles: the cost of straight motions to the goals, including turns.
 
-    Args:
-        problem: The robots, their goals and rotation weights.
-
-    Returns:
-        A heuristic for this team, a lower bound of the true cost-to-go; ``inf`` for a configuration that is not
-        finite.
+    It is a lower bound of the true cost-to-go, for the team of ``problem``. It is ``inf`` for a configuration that is
+    not finite.
     """
     num_robots, dof = problem.goals.shape
 
@@ -88,32 +72,32 @@ def straight_line(problem: Problem) -> SumOverRobots:
 
 
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
-    """Sum of the robots' distances, each found as if the robot were alone (Section V-B of the paper).
+    """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
 
-    A distance function of fewer dimensions than a configuration sees its leading coordinates. How many, an
-    attribute ``dim`` says; oracles and PLRs have it. A function without one sees all coordinates.
-
-    Functions of one type that offers ``stack``, as PLRs do, are called all at once. Any others are called in batches
-    of few sizes, filled up with copies of a point, so that one that is compiled is compiled for few.
+    If all functions have one type that offers ``stack``, as PLRs do, one call evaluates all. Otherwise they are
+    called one by one, in batches padded to a few fixed sizes, so that jit-compiled functions compile only a few
+    times.
 
     Args:
-        distance_fns: One distance function a robot, in the order of the robots; they may answer in NumPy or JAX.
+        distance_fns: One distance function per robot, in the order of the robots. It returns NumPy or JAX arrays. If
+            it has an attribute ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a
+            configuration, else all coordinates.
 
     Returns:
-        A heuristic for teams of as many robots, a lower bound if all functions say that they are, as ``plr.lower``
-        and oracles do: then they have to be those of these robots' own obstacles. A configuration that is not finite
-        has ``inf`` where the distance function says NaN.
+        A heuristic for teams of this size. It is a lower bound if every function says so, as oracles and
+        ``plr.lower`` do; each must then be the distance among its robot's own obstacles. If a function returns NaN
+        for a configuration that is not finite, the term is ``inf``.
 
     Raises:
-        ValueError: If there is no function or something that is not one. When called, if the team is of another
-            size, or a function wants more coordinates than there are or returns another shape than ``(n,)`` or NaN.
-            What a function itself raises comes through.
+        ValueError: If ``distance_fns`` is empty or holds something that is not a function. When the heuristic is
+            called: if the team has another size, or a function takes too many coordinates, or returns NaN or a wrong
+            shape. Exceptions of a function are passed on.
     """
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
-        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
+        raise ValueError(f"distance_fns must hold one function per robot, got {shortened(distance_fns)}.")
     distance_fns = tuple(distance_fns)
     if not distance_fns:
-        raise ValueError("distance_fns must hold one function a robot, got none.")
+        raise ValueError("distance_fns must hold one function per robot, got none.")
     for i, fn in enumerate(distance_fns):
         if not callable(fn):
             raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
@@ -123,17 +107,17 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
         evaluate = first.stack(distance_fns)
     else:
-        evaluate = partial(_one_by_one, distance_fns)
+        evaluate = partial(_evaluate_each, distance_fns)
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
         distances = with_inf_for_masked(evaluate(q))
-        if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
+        if not np.isnan(distances.min(initial=np.inf)):  # the minimum is NaN if any entry is
             return distances
-        # A NaN where the configuration is to blame is no way; one that the function made is refused.
+        # NaN counts as unreachable where the configuration is not finite, and is an error of the function elsewhere.
         broken = np.isnan(distances)
         for row, i in np.argwhere(broken & np.isfinite(q).all(axis=2)):
-            at = f"at {q[row, i].tolist()}; it must return inf where there is no way"
+            at = f"at {q[row, i].tolist()}; it must return inf where the goal is unreachable"
             raise ValueError(f"The distance function of robot {i} returned NaN {at}.")
         return np.where(broken, np.inf, distances)
 
@@ -142,33 +126,28 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
 
 
 def require_heuristic(heuristic: object) -> None:
-    """Raise ``ValueError`` if a heuristic has no terms, or is a function of this module that makes one."""
+    """Raise ``ValueError`` unless a heuristic has per-robot terms; hint if it is a factory that was not called."""
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             name = factory.__name__
-            raise ValueError(f"heuristic must be what {name}({arguments}) returns, got {name} itself: call it.")
+            raise ValueError(f"heuristic must be the result of {name}({arguments}), got {name} itself: call it.")
     if not isinstance(heuristic, HeuristicFn):
-        expected = (
-            "a sum over robots, with per_robot(q), such as sum_of_distances(distance_fns), one function a robot"
-        )
+        expected = "a sum over robots with a method per_robot(q), such as sum_of_distances(distance_fns)"
         raise ValueError(f"heuristic must be {expected}, got {shortened(heuristic)}.")
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """What a heuristic returned, 0 for negative numbers, or ``ValueError`` if it is NaN or not of a shape.
-
-    A masked entry is no estimate: ``inf``.
-    """
-    numbers = as_numbers("What a heuristic returns", with_inf_for_masked(values), "numbers")
+    """Return a heuristic's values, negative ones as 0 and masked ones as ``inf``; refuse NaN and wrong shapes."""
+    numbers = as_numbers("The result of a heuristic", with_inf_for_masked(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
     if np.isnan(numbers).any():
-        raise ValueError("A heuristic must never return NaN; where it knows nothing, inf or 0 will do.")
-    return np.maximum(numbers, 0.0)  # planes that fit a distance near the goal may dip below 0
+        raise ValueError("A heuristic must not return NaN; return inf or 0 where it has no estimate.")
+    return np.maximum(numbers, 0.0)  # planes fitted near the goal may dip below 0
 
 
-def _one_by_one(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    """What each robot's distance function says, shown the leading coordinates that it wants."""
+def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
+    """Call the distance functions one by one, each with as many leading coordinates as it takes."""
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]
@@ -176,24 +155,24 @@ def _one_by_one(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -
         for i, fn in enumerate(distance_fns):
             name, dim = f"The distance function of robot {i}", fn.dim if isinstance(fn, DimensionedFn) else None
             if dim is not None and dim > dof:
-                raise ValueError(f"{name} takes {dim} coordinates, configurations have {dof}.")
+                raise ValueError(f"{name} takes {dim} coordinates, but configurations have {dof}.")
             try:
                 distances[begin : begin + len(part), i] = as_values(name, fn(batch[:, i, :dim]), len(batch))[
                     : len(part)
                 ]
             except Exception as error:
                 if dim is None and dof == 3:
-                    hint = "If it is one of (x, y), give it an attribute `dim` of 2, as in `fn.dim = 2`."
+                    hint = "If it is a function of (x, y), set its attribute `dim`: `fn.dim = 2`."
                     error.add_note(f"{name} was given (x, y, theta). {hint}")
                 raise
     return distances
 
 
 def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:
-    """A batch of joint configurations on the host; any number of robots, and a dof of 2 or 3, where none is given."""
+    """Return ``q`` as a NumPy array of joint configurations; None allows any number of robots, or a dof of 2 or 3."""
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
     q = as_numbers("Joint configurations", q, f"numbers of {expected}")
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
-        hint = " Use q[None] for a single one." if q.ndim == 2 else ""
+        hint = " Use q[None] for a single joint configuration." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")
     return q

@@ -1,4 +1,4 @@
-"""What a planner is given, options and limits, and what it returns: a path, its cost, why it ended; and its file."""
+"""Input and result of the planners: options and limits, the solution with its path, and the solution's JSON file."""
 
 import enum
 import json
@@ -23,11 +23,11 @@ _VERSION = 1
 _NUMBERS = ("cost", "makespan", "lower_bound", "motions_factor")
 _KEYS = ("status", *_NUMBERS, "path", "times", "stats")
 _COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
-_MOST_BYTES = 2**26  # of a file: a path of about three million numbers
+_MOST_BYTES = 2**26  # largest file: a path of about three million numbers
 
 
 class Status(enum.StrEnum):
-    """Why a planner ended; the value is the message."""
+    """Reason why a planner ended; the value is a message."""
 
     SOLVED = "a path within the cost factor was found"
     EXHAUSTED = "the frontier is empty: no path, or none within the cost factor, on this lattice"
@@ -39,20 +39,19 @@ class Status(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Stats:
-    """What a planner did.
+    """Effort of a planner.
 
     Args:
-        num_nodes: Joint configurations kept: nodes of the searches, samples of a sampling-based planner.
-        num_expansions: How often a node's children were asked for; of LaCAM, steps that were tried.
-        num_children_scored: Children given a cost and a heuristic: joint ones, of best-first search also those of the
-            first robots alone; of LaCAM motions of single robots.
-        num_children_valid: Those found free of collision; of LaCAM steps found.
-        seconds: Wall-clock seconds by phase.
-        history: Each new best path: seconds since the start and its cost.
-        found_by: Of :func:`plr_jax.bl_plan`, the search whose path became the best one, "lacam" or "bl", or
-            "sequential", of robots that go one after the other from corner to corner.
-        num_bytes: Of the same, about what the largest lattices that were tried, and what was held beside them, take;
-            what the limit on memory kept from being tried counts too, so that it then exceeds that limit.
+        num_nodes: Joint configurations stored: nodes of the searches, or samples of a sampling-based planner.
+        num_expansions: Expansions of nodes; for LaCAM, attempted steps of the team.
+        num_children_scored: Scored joint children, including partial ones of the first robots; for LaCAM, motions of
+            robots.
+        num_children_valid: Children found free of collision; for LaCAM, steps found.
+        seconds: Wall-clock seconds of each phase.
+        history: Seconds since the start, and cost, of each new best path.
+        found_by: Origin of the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
+        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, with everything stored beside
+            them. It exceeds the memory limit if that limit ruled out lattices.
     """
 
     num_nodes: int
@@ -79,20 +78,19 @@ class Solution:
 
     Args:
         path: Joint configurations ``(steps, robots, dof)`` from the starts to the goals, in workspace units and
-            radians; robots move from one row to the next along straight lines, all at once. None if no path
-            was found.
-        cost: Sum of the path's motion costs, ``inf`` if there is none.
-        makespan: Time that the path takes (see :func:`plr_jax.makespan`), ``inf`` if there is none.
-        lower_bound: A cost below which there is no path.
-        status: Why the planner ended. A path may be there whatever it says.
-        stats: What the planner did.
-        samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of
-            ``bl_plan``, those of the larger search on the lattices that were searched last.
-        motions_factor: Proven bound of the cost of the path that ``path`` was shortened from, over that of the
-            cheapest one made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions of the
-            lattices on which it was found.
-        times: When the path reaches each of its rows, ``(steps,)``: from 0 to the makespan, never falling. None if no
-            path was found.
+            radians. Between two rows all robots move at once along straight lines. None if no path was found.
+        cost: Sum of the path's motion costs; ``inf`` if there is no path.
+        makespan: Duration of the path (see :func:`plr_jax.makespan`); ``inf`` if there is no path.
+        lower_bound: Proven lower bound of the cost of every path.
+        status: Reason why the planner ended. Any status may come with a path.
+        stats: Effort of the planner.
+        samples: Joint configurations of the search nodes, ``(nodes, robots, dof)``, in the order of creation. For
+            ``bl_plan``, the nodes of the larger search on the lattices that were searched last.
+        motions_factor: Proven upper bound of a ratio: the cost of the path before shortening, over the cost of the
+            cheapest path made of the same motions. For ``bl_plan``, these are the motions of the lattices that the
+            path was found on. ``inf`` if nothing is proven.
+        times: Time at which the path reaches each row, ``(steps,)``: nondecreasing, from 0 to the makespan. None if
+            no path was found.
     """
 
     path: JointPath | None
@@ -107,10 +105,7 @@ class Solution:
 
     @property
     def factor(self) -> float:
-        """How many times as much the path costs at the most as the best one there is, as far as is proven.
-
-        ``inf`` if there is no path, or nothing is known but that a cost is not negative.
-        """
+        """Proven upper bound of the path's cost over the cost of the best path; ``inf`` if nothing is proven."""
         if self.cost == 0:
             return 1.0
         return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf
@@ -121,25 +116,25 @@ class Solution:
         return self.path is not None
 
     def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
-        """Where the robots are at some times, if they follow the path by a common clock.
+        """Return the joint configurations at given times, if the robots follow the path by a common clock.
 
         Each motion, from one row of the path to the next, takes as long as its costliest robot needs at unit speed.
-        The others move at a constant rate and arrive with it. Headings turn the shorter way from those of the row
-        before, so where the path's own headings jump by a whole turn, so do these.
+        The other robots move at a constant rate and arrive at the same time. Headings turn the shorter way, starting
+        from the value in the row before.
 
         Args:
-            times: Times ``(n,)`` from 0 to the makespan, or of any other shape. Before 0 the robots are at their
-                starts, after the makespan at their goals, so ``inf`` is allowed.
+            times: Times of any shape, such as ``(n,)``. Before 0 the robots are at their starts, after the makespan
+                (or at ``inf``) at their goals.
 
         Returns:
-            Joint configurations ``(n, robots, dof)``, for one time ``(robots, dof)``. At 0 those are the starts and
-            at the makespan the goals, to the bit; at the time of a row in between, that row.
+            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At the time of a row, also the
+            first and the last, they equal the row exactly.
 
         Raises:
-            ValueError: If there is no path, or a time is NaN, masked or no number.
+            ValueError: If there is no path, or if a time is NaN, masked or not a number.
         """
         if self.path is None or self.times is None:
-            raise ValueError(f"There is no path to follow, the planner ended because: {self.status}.")
+            raise ValueError(f"There is no path to follow: the planner ended because {self.status}.")
         times = as_numbers("times", times, "numbers, such as an array (n,)")
         if np.isnan(times).any():
             raise ValueError("times must not be NaN.")
@@ -147,21 +142,15 @@ class Solution:
         row, after, share = motions_under_way(self.times, when)
         share = share[:, None, None]
         at = np.where(share == 1, self.path[after], between(self.path[row], self.path[after], share))
-        at[when <= 0] = self.path[0]  # of rows at time 0, the last one else
+        at[when <= 0] = self.path[0]  # several rows may have time 0
         at[when >= self.makespan] = self.path[-1]
         return at.reshape(*times.shape, *self.path.shape[1:])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solution as a JSON file, in the form that :meth:`load` describes, but for its samples.
+        """Write the solution, without its samples, as a JSON file in the format that :meth:`load` describes.
 
-        The file appears whole or not at all: an interrupted save leaves an older file as it was.
-
-        Args:
-            path: Where; usually ends in ``.json``.
-
-        Raises:
-            ValueError: If the solution contradicts itself, as a path without a cost does, or takes more than 64 MiB.
-            OSError: If the file cannot be written.
+        The write is atomic. It raises ``ValueError`` if the solution is inconsistent (such as a path without a cost)
+        or takes more than 64 MiB, and ``OSError`` if the file cannot be written.
         """
         stats = self.stats
         entry = {
@@ -178,50 +167,43 @@ class Solution:
             "times": None if self.times is None else self.times.tolist(),
             "path": None if self.path is None else self.path.tolist(),
         }
-        _solution_in(entry)  # or it could not be read back
+        _solution_from_json(entry)  # raises if the file could not be read back
         data = (json.dumps(entry, allow_nan=False) + "\n").encode()
         if len(data) > _MOST_BYTES:
-            had = f"this one would have {len(data):,}"
-            raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, {had}.")
+            raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, this one has {len(data):,}.")
         write_atomically(file_path(path), data)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Solution":
-        """Read a solution from a file.
+        """Read a solution from a file that :meth:`save` or ``plr-jax plan --output`` wrote.
 
-        Version 1 is one object with these keys; other keys are ignored. ``null`` stands for infinity, which JSON has
-        no word for; lengths are in workspace units, angles in radians::
+        Version 1 is one JSON object with these keys; other keys are ignored. ``null`` stands for infinity. Lengths
+        are in workspace units, angles in radians::
 
-            "format":         "plr_jax solution"
-            "version":        1
-            "status":         name of a Status, such as "SOLVED"
-            "cost":           number, or null if there is no path, likewise "makespan"
-            "lower_bound":    number or null
-            "motions_factor": number or null
-            "path":           [[[x, y], ...], ...], one configuration a robot in each row ([x, y, heading] if any
-                              robot has a heading), or null if there is no path
-            "times":          [time, ...], one a row, from 0 to the makespan, or null if there is no path
-            "stats":          {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
-                               "num_children_valid": count, "num_bytes": count,
-                               "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...],
-                               "found_by": name of a search, or ""}
-
-        Numbers are written with as many digits as it takes to read the same float64 back.
-
-        Args:
-            path: A file that :meth:`save` or ``plr-jax plan --output`` wrote.
+            "format":      "plr_jax solution"
+            "version":     1
+            "status":      name of a Status, such as "SOLVED"
+            "cost":        number, or null if there is no path; likewise "makespan"
+            "lower_bound": number or null; likewise "motions_factor"
+            "path":        [[[x, y], ...], ...]: per row, one configuration per robot ([x, y, heading] if any robot
+            has
+                           a heading); null if there is no path
+            "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
+            "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
+                            "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
+                            "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
 
         Returns:
-            The solution, equal to the saved one bit for bit, but that its ``samples`` are an empty array: they are
-            not in the file. Whether the path is valid for a problem, :func:`plr_jax.validate` says.
+            The saved solution, with every float64 restored exactly. Its ``samples`` are empty because the file omits
+            them. Use :func:`plr_jax.validate` to check the path against a problem.
 
         Raises:
-            ValueError: If the file is no solution, is damaged, or was written by a newer version.
+            ValueError: If the file is not a solution, is damaged, or was written by a newer version.
             OSError: If the file cannot be read.
         """
         path = file_path(path)
         with errors_named(path):
-            return _solution_in(json_of(path, _MOST_BYTES))
+            return _solution_from_json(json_of(path, _MOST_BYTES))
 
     def __repr__(self) -> str:
         costs = f"cost {self.cost:.4g}, makespan {self.makespan:.4g}, lower bound {self.lower_bound:.4g}"
@@ -229,7 +211,7 @@ class Solution:
         return f"Solution({self.status.name}: {costs}, {effort})"
 
 
-def solution_of(
+def make_solution(
     problem: Problem,
     path: JointPath | None,
     lower_bound: float,
@@ -238,7 +220,7 @@ def solution_of(
     samples: Float[np.ndarray, "nodes robots dof"],
     motions_factor: float = math.inf,
 ) -> Solution:
-    """A solution, its costs computed from the path."""
+    """Return a solution whose cost, makespan and times are computed from its path."""
     if path is None:
         return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
@@ -246,12 +228,11 @@ def solution_of(
 
 
 def straight_line_bound(problem: Problem) -> float:
-    """The sum of the costs of the robots' straight motions to their goals: no path is cheaper."""
+    """Return a lower bound of all path costs: the sum of the costs of straight motions to the goals."""
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-def _solution_in(entry: Any) -> Solution:
-    """The solution that a document stands for; ``ValueError`` if it stands for none."""
+def _solution_from_json(entry: Any) -> Solution:
     require_format(entry, _KIND, _VERSION, _KEYS)
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
@@ -263,23 +244,24 @@ def _solution_in(entry: Any) -> Solution:
     missing = [name for name, part in parts.items() if part is None]
     if len(missing) < len(parts):
         if missing:
-            raise ValueError(f"expected {', '.join(parts)} to be null all or none; null are {', '.join(missing)}.")
+            expected = f"all or none of {', '.join(parts)} to be null"
+            raise ValueError(f"expected {expected}, got null for {', '.join(missing)}.")
         path = as_numbers('"path"', parts["path"], "numbers of shape (steps, robots, dof)")
         if path.ndim != 3 or 0 in path.shape or path.shape[2] not in (2, 3) or not np.isfinite(path).all():
             expected = "finite, of shape (steps, robots, 2 or 3)"
             raise ValueError(f'expected "path" to be {expected}, got shape {path.shape}.')
         times = as_numbers('"times"', parts["times"], "numbers of shape (steps,)")
         if times.shape != path.shape[:1] or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-            expected = f"{len(path)} finite numbers that never fall, one a row of the path"
+            expected = f"{len(path)} finite nondecreasing numbers, one per row of the path"
             raise ValueError(f'expected "times" to be {expected}.')
         if times[0] != 0 or times[-1] != span:
             raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
     samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
-    stats = _stats_in(entry["stats"])
+    stats = _stats_from_json(entry["stats"])
     return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
 
 
-def _stats_in(entry: Any) -> Stats:
+def _stats_from_json(entry: Any) -> Stats:
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
@@ -289,7 +271,7 @@ def _stats_in(entry: Any) -> Stats:
     are_pairs = isinstance(history, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in history)
     for name, fine, expected in (
         ("seconds", isinstance(seconds, dict), "an object"),
-        ("found_by", isinstance(found_by, str), "a text"),
+        ("found_by", isinstance(found_by, str), "a string"),
         ("history", are_pairs, "a list of pairs [seconds, cost]"),
     ):
         if not fine:
@@ -298,8 +280,6 @@ def _stats_in(entry: Any) -> Stats:
     history = tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history)
     return Stats(**{name: entry[name] for name in _COUNTS}, seconds=seconds, history=history, found_by=found_by)
 
-
-# Options and limits.
 
 SEARCHERS = ("lacam", "bl")
 _LARGEST_WEIGHT = 1e6
@@ -310,29 +290,26 @@ class BLOptions:
     """Options of :func:`plr_jax.bl_plan`.
 
     Args:
-        searchers: Which searches take turns until one finds a path. "lacam" is LaCAM, which moves the whole team one
-            step at a time: it is over at once where robots can push one another along, for large teams as well. "bl"
-            is best-first search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
-            It alone heeds ``heuristic_weight``. Only where both are asked for, a few discs are tried one after the
-            other before.
-        step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
-            problem is solved.
-        heuristic_weight: Factor of the heuristic in best-first search, from 0 to 1e6. The larger, the greedier. None:
-            2, or 3/8 a robot if that is more, as many robots have more ways to stand in each other's. It grows by
-            half from one lattice to the next finer one.
-        cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
-            costs more, the search goes on with smaller weights and steps, until a limit. 1: to the limit, as a rule.
-            The bound is that of straight lines unless something better is given: ``lower_bound``, or a heuristic
-            that is one, such as the exact distances.
-        lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
-            straight lines and what the heuristic proves.
-        time_limit: Seconds, positive or ``inf``. A call of Shapely or of the heuristic, and a search of a lattice for
-            costs-to-go, are not cut short.
-        max_expansions: Most expansions; deterministic, unlike the time limit.
-        max_memory: Most bytes of the lattices and of the search's nodes.
+        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time: it
+            is fast, even for large teams, where robots can push one another along. "bl" is best-first search over
+            joint configurations: it finds coordinated maneuvers, such as swaps in tight places. With both, the
+            planner also tries to move a few discs one after the other.
+        step: Side of a lattice cell, in workspace units. None: chosen for each problem, and refined until the problem
+            is solved.
+        heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
+            the number of robots if larger. It grows by half with each finer lattice.
+        cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
+            until a limit, it continues with smaller weights and steps; 1 usually means until a limit.
+        lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
+            cost of straight motions, and the heuristic at the starts if that is a lower bound (such as exact
+            distances).
+        time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
+            computation of costs-to-go, is not interrupted.
+        max_expansions: Largest number of expansions; deterministic, unlike the time limit.
+        max_memory: Largest number of bytes of the lattices and of the search nodes.
 
     Raises:
-        ValueError: If an option is out of its range, or ``searchers`` names none or an unknown one.
+        ValueError: If an option is out of range, or ``searchers`` is empty or names an unknown search.
     """
 
     searchers: Sequence[str] = SEARCHERS
@@ -357,11 +334,10 @@ class BLOptions:
             object.__setattr__(self, "heuristic_weight", weight)
         is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
         if not is_some or any(name not in SEARCHERS for name in self.searchers):
-            raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
+            raise ValueError(f"searchers must name at least one of {SEARCHERS}, got {self.searchers!r}.")
 
 
-def require_task(problem: Problem, options: BLOptions) -> None:
-    """``ValueError`` unless these are a problem and options."""
+def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
     require_problem(problem)
     if not isinstance(options, BLOptions):
         raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
@@ -369,7 +345,7 @@ def require_task(problem: Problem, options: BLOptions) -> None:
 
 @dataclass
 class SearchBudget:
-    """What a planner may still do, until a time of ``time.perf_counter``, and what it has done."""
+    """Limits of a planner and its counters; the deadline is on the clock of ``time.perf_counter``."""
 
     deadline: float
     max_expansions: float | int
@@ -381,29 +357,27 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """The limit that is reached, if one is."""
+        """Return the limit that is reached, or None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
-        """The limit of time or memory, if one of these is reached."""
+        """Return the limit of time or memory if it is reached, else None; ignore expansions."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
-class HeldMemory:
-    """Bytes that something holds, and that count against a budget until they are released."""
+class MemoryUse:
+    """Bytes of one data structure, counted against a budget until they are released."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0
 
     def add(self, num_bytes: int) -> None:
-        """Hold so many bytes more, or less."""
         self.num_bytes += num_bytes
         self.budget.memory += num_bytes
 
     def release(self) -> None:
-        """Hold none."""
         self.add(-self.num_bytes)

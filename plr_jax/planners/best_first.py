@@ -1,4 +1,4 @@
-"""Barraquand and Latombe's search: best-first over joint configurations, which claims every joint cell once."""
+"""Best-first search over joint configurations, after Barraquand and Latombe, with partial expansion of nodes."""
 
 import heapq
 import math
@@ -13,51 +13,43 @@ from tqdm import tqdm
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
-from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, State
 
-_CHUNK = 1 << 15  # configurations of a robot whose estimates are asked for at a time, between two looks at the clock
+_CHUNK = 1 << 15  # configurations per call of the heuristic, between two checks of the clock
 _PURPOSE = "the heuristic was known"
-_INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
-_NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
-_MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node
-_COPIES, _SCORE_BYTES = 3, 12  # of the primitives of a joint child, and what a product takes while it is cut
-_BATCH = 16  # nodes expanded at once at most; it widens from one while the search makes no progress
-_WIDTH = 1024  # joint children held while a product of primitives is assembled, at first
-_KEPT = 16  # one of so many joint children that are found is kept
-_WIDER = 8  # how much wider a node's children are sought when those kept are used up
-_WIDEST = 1 << 16
-_PRODUCTS = 1 << 20  # of a robot's primitives and what others do, at a time, which bounds the temporaries
-
-Table: TypeAlias = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
+_INFINITE = 1e30  # larger estimates count as infinite, as sums of them could overflow float32
+_NODE_BYTES = 350  # memory of a node in the tree, the frontier and the set of claimed cells
+_MOTION_BYTES = 16  # memory of a motion in a robot's score table
+_ESTIMATE_BYTES = 16  # memory of a node in a robot's table of estimates
+_PRIMITIVE_COPIES = 3  # arrays that hold a joint child's primitives while the beam is cut
+_SCORE_BYTES = 12  # memory of a joint child's score while the beam is cut
+_BATCH = 16  # most nodes expanded at once; the batch doubles from 1 while the search makes no progress
+_WIDTH = 1024  # initial beam width
+_STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
+_WIDTH_GROWTH = 8  # growth of the beam width when a node's stored successors are used up
+_MAX_WIDTH = 1 << 16
+_PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
+Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robot's lattice
 
 
 class Successors(NamedTuple):
-    """The best children of some joint configurations, by score, best first.
+    """The best children of some joint configurations, best first."""
 
-    Args:
-        score: Sums of the robots' terms; ``inf`` for children that collide.
-        primitive: The primitive of each robot.
-        num_scored: Joint children, whole and partial, that were scored to find them.
-        num_valid: How many whole children collide with nothing.
-        whole: Whether no collision-free child is missing.
-    """
-
-    score: Float[np.ndarray, "n m"]
+    score: Float[np.ndarray, "n m"]  # sum of the robots' terms; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
-    num_scored: int
-    num_valid: int
-    whole: Bool[np.ndarray, "n"]
+    num_scored: int  # scored joint children, including partial ones of the first robots only
+    num_valid: int  # collision-free children of all robots
+    is_complete: Bool[np.ndarray, "n"]  # whether no collision-free child is missing
 
 
 def best_successors(
     joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int
 ) -> Successors:
-    """The best children of joint configurations, one robot added after the other.
+    """Find the best children of joint configurations by beam search, adding one robot at a time.
 
-    The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next
-    robot joins. A product that fits is not cut, so that its children are complete. The ``terms`` are the scores of
-    each robot's configurations and primitives, ``inf`` where blocked.
+    Before the next robot joins, the joint primitives of the earlier robots are cut to the ``width`` best. The
+    ``terms`` score each robot's primitives by node; they are ``inf`` where blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -86,15 +78,9 @@ def best_successors(
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
-    """A heuristic's terms over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
-
-    A negative estimate counts as 0.
-
-    Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
-    """
+    """Evaluate a heuristic's terms on the robots' lattices; raise ``TimeoutError`` past the deadline."""
     size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
-    # One column a robot, so that a team's PLRs answer in one call; shorter columns repeat their first rows.
+    # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
     for begin in range(0, size, chunk):
@@ -106,91 +92,70 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
-    """The best successors of an expanded node, best first, and how far they have been looked at.
+    """The stored successors of an expanded node, best first."""
 
-    Their scores are cost-to-come and weighted heuristic. ``width`` says how wide they were sought, ``whole`` whether
-    the node has no others, ``at`` which is the first that has not been looked at.
-    """
-
-    score: Float[np.ndarray, "m"]
-    cost: Float[np.ndarray, "m"]
+    score: Float[np.ndarray, "m"]  # cost-to-come plus weighted heuristic
+    cost: Float[np.ndarray, "m"]  # cost-to-come
     state: State
-    width: int
-    whole: bool
+    width: int  # the beam width of the search that found them
+    is_complete: bool  # whether the node has no other successors
     num_bytes: int
-    at: int = 0
+    next_index: int = 0  # of the first successor that was not considered yet
 
 
 class BestFirstSearch:
-    """Barraquand and Latombe's search: the best node of the frontier adds its best children in unclaimed cells.
+    """A best-first search in which each joint configuration is claimed by the first node that reaches it.
 
-    A node adds one child at a time, and returns to the frontier with the score of its next one (partial expansion).
-    Several nodes are expanded at once while the search makes no progress. Every joint configuration is a cell.
-
-    Args:
-        joint: The team on its lattices.
-        estimates: The terms of the heuristic: each robot's, of all its configurations. An infinite one never prunes:
-            it counts as farther than all finite ones.
-        weight: The factor of the heuristic.
-        budget: What the search may still do.
-
-    Attributes:
-        scores: Of each robot the cost of its configurations' primitives and the weighted term of where they lead.
-        states, costs, parents: For each node where it is, its cost-to-come and the node whose child it is; -1 for
-            the root.
-        found: The node at the goals, once there is one.
-
-    Raises:
-        TimeoutError: If the deadline passes before the scores are known.
+    The node with the least sum of cost-to-come and weighted heuristic is expanded first. It adds one child at a time,
+    and returns to the frontier with the score of its next child. An infinite estimate prunes nothing.
     """
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
-        self.joint, self.budget, self.held = joint, budget, HeldMemory(budget)
-        self.scores, self.nearest = [], 0.0
+        self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
+        self.scores, self.least_estimate = [], 0.0  # for each robot: motion cost plus weighted term of the child
         for lattice, estimate in zip(joint.lattices, estimates, strict=True):
             require_time(budget.deadline, _PURPOSE)
             known = estimate < _INFINITE
-            table = np.where(known, estimate, 2 * estimate[known].max(initial=0.0))
+            table = np.where(known, estimate, 2 * estimate[known].max(initial=0.0))  # prune nothing
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
-            self.nearest += weight * table[lattice.start]
-        self.held.add(bytes_of_tables(joint))
-        self.most_products = 0  # bytes that the widest products took so far
+            self.least_estimate += weight * table[lattice.start]
+        self.memory_use.add(bytes_of_tables(joint))
+        self.max_product_bytes = 0  # memory of the widest beams so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices], np.int32)
-        self.states, self.costs, self.parents = [start], [0.0], [-1]
+        self.states, self.costs, self.parents = [start], [0.0], [-1]  # by node; the root has no parent
         self.claimed = {start.tobytes()}
-        self.frontier = [(float(self.nearest), 0, 0)]
+        self.frontier = [(float(self.least_estimate), 0, 0)]
         self.successors: dict[int, SuccessorList] = {}
-        self.wider: dict[int, int] = {}
-        self.pushed, self.size, self.num_expansions = 0, 1, 0
-        self.found = 0 if np.array_equal(start, self.goal) else None
+        self.next_widths: dict[int, int] = {}
+        self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
+        self.found = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
 
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
-        """Search on until the goals are reached, the frontier is empty, or a limit is reached, and say which.
-
-        None for a pause: after so many expansions more. ``TimeoutError`` if the deadline passes within one.
-        """
+        """Search for up to ``max_expansions`` more expansions; return why the search ended, or None for a pause."""
         last = self.num_expansions + max_expansions
         while self.found is None and self.frontier and self.num_expansions < last:
             if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
-            batch = [heapq.heappop(self.frontier)[2] for _ in range(int(min(self.size, len(self.frontier), left)))]
-            nearest, before = self.nearest, self.num_expansions
+            batch = [
+                heapq.heappop(self.frontier)[2] for _ in range(int(min(self.batch_size, len(self.frontier), left)))
+            ]
+            nearest, before = self.least_estimate, self.num_expansions
             self._expand(batch)
             for node in batch:
                 self._add_child(node)
             if progress is not None:
                 progress.update(self.num_expansions - before)
-            self.size = 1 if self.nearest < nearest else min(2 * self.size, _BATCH)
+            self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
         if self.found is not None:
             return Status.SOLVED
         return None if self.frontier else Status.EXHAUSTED
 
     @property
-    def branch(self) -> State:
-        """States from the starts to the goals, once these are found."""
+    def solution_states(self) -> State:
+        """Joint states from the starts to the goals, once these are found."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
         while self.parents[node] >= 0:
@@ -199,32 +164,31 @@ class BestFirstSearch:
         return np.array(states[::-1])
 
     @property
-    def state(self) -> State:
-        """All nodes, in the order of their making."""
+    def node_states(self) -> State:
+        """Joint states of all nodes, in the order of creation."""
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
-        """Find the best children of nodes that have none kept."""
+        """Find successors for those nodes that have none stored."""
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
-                by_width.setdefault(self.wider.get(node, _WIDTH), []).append(node)
+                by_width.setdefault(self.next_widths.get(node, _WIDTH), []).append(node)
         most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(of_width), size):
                 some = of_width[begin : begin + size]
-                # Count the widest products so far as held: they may be as wide again.
-                num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
-                self.held.add(max(0, num_bytes - self.most_products))
-                self.most_products = max(self.most_products, num_bytes)
-                # The best children of these nodes, of which the first are kept.
+                # Reserve the memory of the widest beams so far, as later ones may be as wide.
+                num_bytes = (len(some) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
+                self.memory_use.add(max(0, num_bytes - self.max_product_bytes))
+                self.max_product_bytes = max(self.max_product_bytes, num_bytes)
                 state = np.array([self.states[node] for node in some])
                 cost = np.array([self.costs[node] for node in some])
                 children = best_successors(self.joint, self.scores, state, width)
                 num_valid = np.isfinite(children.score).sum(axis=1)
-                num_kept = np.minimum(num_valid, max(width // _KEPT, 1))
-                whole = children.whole & (num_kept == num_valid)
+                num_kept = np.minimum(num_valid, max(width // _STORED_SHARE, 1))
+                whole = children.is_complete & (num_kept == num_valid)
                 row, column = ragged_indices(num_kept)
                 score = cost[row] + children.score[row, column]
                 state, move_cost = self.joint.move(state[row], children.primitive[row, column])
@@ -238,19 +202,19 @@ class BestFirstSearch:
                     self.successors[node] = SuccessorList(
                         score[own], cost[own], state[own], width, bool(whole[i]), num_bytes
                     )
-                    self.held.add(num_bytes)
+                    self.memory_use.add(num_bytes)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
 
     def _add_child(self, node: int) -> None:
-        """Claim the cell of a node's next child, and return it to the frontier by the score of the one after."""
+        """Claim a node's next unclaimed child, and reinsert the node with the score of the child after it."""
         successors, is_added = self.successors[node], False
-        for child in range(successors.at, len(successors.score)):
+        for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]
             if (cell := state.tobytes()) in self.claimed:
                 continue
             if is_added:
-                successors.at = child
+                successors.next_index = child
                 self._return(score, node)
                 return
             is_added, cost = True, float(successors.cost[child])
@@ -261,23 +225,22 @@ class BestFirstSearch:
             self.states.append(state)
             self.costs.append(cost)
             self.parents.append(node)
-            self.nearest = min(self.nearest, score - cost)
+            self.least_estimate = min(self.least_estimate, score - cost)
             self.budget.num_nodes += 1
-            self.held.add(_NODE_BYTES + 8 * len(state))
+            self.memory_use.add(_NODE_BYTES + 8 * len(state))
         del self.successors[node]
-        self.held.add(-successors.num_bytes)
-        if not successors.whole and successors.width < _WIDEST:
-            self.wider[node] = successors.width * _WIDER
-            # A cut may leave nothing but children that collide: then look again at once.
+        self.memory_use.add(-successors.num_bytes)
+        if not successors.is_complete and successors.width < _MAX_WIDTH:
+            self.next_widths[node] = successors.width * _WIDTH_GROWTH
+            # A cut may leave only children that collide: then the node returns with its own cost.
             self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)
 
     def _return(self, score: float | np.floating, node: int) -> None:
-        """Put a node into the frontier; among equals the newest comes first."""
         self.pushed += 1
-        heapq.heappush(self.frontier, (float(score), -self.pushed, node))
+        heapq.heappush(self.frontier, (float(score), -self.pushed, node))  # newest first among equal scores
 
 
 def bytes_of_tables(joint: JointLattice) -> int:
-    """About what the tables of each robot's motions take that best-first search makes."""
+    """Estimate the memory of the score tables of best-first search."""
     sizes = [(lattice.kind.child.size, len(lattice.q)) for lattice in joint.lattices]
     return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)

@@ -1,4 +1,4 @@
-"""The planner for several robots at once (Section V of the paper, and searches beside it)."""
+"""The team planner :func:`bl_plan` (Section V of the paper): lattice searches, replanning and shortening."""
 
 import math
 import time
@@ -17,142 +17,129 @@ from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,
     BLOptions,
-    HeldMemory,
     JointPath,
+    MemoryUse,
     SearchBudget,
     Solution,
     Stats,
     Status,
-    require_task,
-    solution_of,
+    make_solution,
+    require_problem_and_options,
     straight_line_bound,
 )
 from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
-from plr_jax.planners.sequential import sequential_path, side_by_side
+from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.robots.robot import Robot, between
 
-# Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
-_COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
-_COARSEST = 1 / 4  # tried where memory is short
-_ABREAST, _WIDEST = 4.5, 1.75  # times as wide as the workspace, robots abreast are a crowd; growth of its step
-_PACKED = 1 / 2  # of the free area, covered by squares as wide as the smallest robot, one for each
-_MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
-_AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
-_SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
-_REFINEMENT = 1.25
-_WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
-_GREEDIER = 1.5  # growth of the weight from one search to the next
-_LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
-_WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
-_NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
-_GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
+_COARSEST_FIRST = 1 / 16  # coarsest first step, as a share of the bounds' longer side
+_FINEST_FIRST = 1 / 512  # finest first step, likewise a share, as the three steps below
+_POINT_STEP = 1 / 32  # first step for points
+_FINEST = 1 / 2048  # finest step that is tried
+_COARSEST = 1 / 4  # coarsest step, for problems that otherwise exceed the memory or the motion tests
+_CROWD_WIDTH = 4.5  # a crowd's robots side by side are wider than this many square roots of the free area
+_MAX_CROWD_GROWTH = 1.75  # largest growth of the first step for a crowd
+_PACKED = 1 / 2  # share of the free area that packed robots exceed, each in a square as wide as the narrowest
+_MAX_FIRST_TESTS = 720_000  # motion tests for the first lattices
+_DETOUR = 1.5  # a lattice path longer than this many straight lines suggests a passage that the lattice closes
+_LEAST_SAVING = 0.05  # share of the path costs that a finer first lattice must save
+_REFINEMENT = 1.25  # ratio of one step to the next
+_WEIGHT, _WEIGHT_PER_ROBOT = 2.0, 3 / 8  # default heuristic weight: the larger of both
+_WEIGHT_GROWTH = 1.5  # from one lattice to the next finer one
+_LEAST_WEIGHT = 1.1  # smaller weights help less than a finer lattice
+_WAITING_SHARE = 1 / 4  # rows added for waiting when robots are replanned, as a share of the path's rows
+_NEAR_LEAST = 1.1  # path cost over the robots' least costs up to which replanning is skipped
+_GAIN = 2e-3  # replanning of neighborhoods stops if it saves a smaller share of the cost
 _ROUNDING = 1e-9
 _SEQUENTIAL = "sequential"
-_MOST_BYTES = 1 << 60  # that are told apart
+_MAX_REPORTED_BYTES = 1 << 60
 _DEFAULT_OPTIONS = BLOptions()
 
 
 def bl_plan(
     problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
 ) -> Solution:
-    """Plan for all robots at once: search lattices until the team can reach its goals, then make its path cheap.
+    """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
-    A few discs among few walls may have a path at once: one goes after the other, each from corner to corner. It is
-    kept where nothing cheaper is found.
-
-    Every robot moves on a lattice, on which its start and goal are exact; robots of one kind share one. Two searches
-    take turns on it, and on finer ones while none succeeds:
-
-    - LaCAM, a lazy search over constraints, moves the whole team one step at a time: by PIBT, each robot takes its
-      best free motion and pushes others out of its way. In the open, and at doors, it is over at once, for a hundred
-      robots too.
-    - Best-first search, Barraquand and Latombe's, over cells of the joint space: a node's children are the products
-      of the robots' primitives that keep clear of obstacles and of one another along the whole motion, and each cell
-      is claimed once, by the first node in it. The best node by cost-to-come and weighted heuristic is expanded next,
-      as in A*. It finds what takes a plan, such as a swap in a tight place.
-
-    Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
-    is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
-    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer
-    lattices and with smaller weights go on, until a limit.
-
-    Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
+    The common call is ``solution = bl_plan(problem)``; ``solution.path`` is an array ``(steps, robots, dof)``, or
+    None, and ``solution.status`` tells why the planner ended. ``bl_plan(problem, options=BLOptions(time_limit=10))``
+    limits the seconds. ``BLOptions(cost_factor=1.1)`` continues until the path costs at most 1.1 times a lower bound.
 
     Args:
-        problem: What to plan.
-        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, a sum over robots, such as
-            :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`, never NaN. Both searches go by its terms
-            (``per_robot``). An infinite estimate prunes nothing, a negative one counts as 0. One that says it is a
-            lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the starts. A poor one,
-            such as straight lines among walls, may well find nothing. None: each robot's cost-to-go along its
-            lattice, alone, which takes no oracle and no PLR: the best choice where a plan is all that is asked for.
+        problem: Workspace, robots, starts and goals.
+        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, as a sum over robots:
+            :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`. None, the best choice for a single plan:
+            each robot's cost-to-go along its lattice. No estimate may be NaN; ``inf`` prunes nothing, and negative
+            ones count as 0. If ``is_lower_bound`` is true, the value at the starts is a lower bound of all path
+            costs. A poor heuristic, such as straight lines among walls, may prevent a solution.
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
-        is within ``cost_factor`` of the lower bound, and lattices were searched or cannot have a cheaper one;
-        EXHAUSTED if nothing was left to search on the finest lattice (the given ``step``, or 1/2048 of the bounds),
-        which proves nothing about finer ones; a limit, or INTERRUPTED. All but the first with or without a path.
+        The best path found, with a lower bound of all path costs and a status. SOLVED: the cost is within
+        ``cost_factor`` (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. Otherwise a limit, or
+        INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are deterministic unless
+        the time limit ends a search.
 
     Raises:
-        ValueError: If the heuristic is no sum over robots, or, where it is asked, returns NaN or another shape, or if
-            the options are no :class:`BLOptions`.
+        ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
+
+    How it works:
+
+    1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
+       one is found.
+    2. Robots move on lattices with exact starts and goals. Two searches alternate, on finer and finer lattices, until
+       one succeeds. LaCAM moves the whole team one step at a time: by priority inheritance (PIBT), each robot takes
+       its best free motion and pushes others out of its way. It is fast in the open and at doors, even for a hundred
+       robots. Best-first search, after Barraquand and Latombe, expands joint configurations as A* does, and claims
+       each only once. It finds coordinated maneuvers, such as a swap in a tight place.
+    3. Robots are replanned along the lattices, one by one among the others. Then straight shortcuts, and deviations
+       within narrow corridors, shorten the path.
+    4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
+       smaller weights.
 
     References:
-        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
-        of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
-        "Anytime multi-agent path finding via large neighborhood search", 2021.
+        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V of the
+        paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al., "Anytime
+        multi-agent path finding via large neighborhood search", 2021.
     """
     if isinstance(heuristic, BLOptions):
         raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:
         require_heuristic(heuristic)
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     run = Run(problem, heuristic, options, time.perf_counter())
     try:
         try:
-            status = run.take_turns_to_go()
+            status = run.try_sequential_path()
             if status is None:
                 with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
                     status = run.search_until_limit()
-        finally:  # interrupted or not
+        finally:  # also if interrupted
             if run.path is not None and run.found_by == _SEQUENTIAL:
-                # Robots that were to go one after the other set out as early as they can.
-                run.path = side_by_side(problem, run.path)
+                run.path = with_early_departures(problem, run.path)
                 run.history[-1] = (run.history[-1][0], path_cost(problem, run.path))
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    budget, memory = run.budget, int(min(run.num_bytes, _MOST_BYTES))
+    budget, memory = run.budget, int(min(run.num_bytes, _MAX_REPORTED_BYTES))
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
     stats = Stats(*counts, run.seconds, tuple(run.history), run.found_by, memory)
-    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
+    return make_solution(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
 
 
 class Run:
-    """One call of the planner: searches on finer and finer lattices, and the best path so far.
+    """A call of the planner: its best path so far, and the searches that improve it."""
 
-    A path that a search has found is made cheaper along the lattices first, then off them.
-
-    Attributes:
-        path: The best path so far, None before there is one.
-        cost: What it costs.
-        found_by: The search that found it, or that it was shortened from.
-        motions_factor: As in :class:`plr_jax.Solution`.
-        history: Seconds and cost of each path that became the best one.
-        seconds: By phase of the run.
-    """
-
-    progress: tqdm  # while it searches lattices
+    progress: tqdm  # set while lattices are searched
 
     def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float):
         self.problem, self.heuristic, self.options = problem, heuristic, options
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
-        self.lower_bound, self.enough = options.lower_bound or 0.0, math.inf
+        self.lower_bound, self.accepted_cost = options.lower_bound or 0.0, math.inf
         self.path: JointPath | None = None
         self.cost, self.motions_factor, self.found_by = math.inf, math.inf, ""
         self.history: list[tuple[float, float]] = []
@@ -162,48 +149,47 @@ class Run:
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
     def offer(self, path: JointPath, found_by: str, motions_factor: float) -> None:
-        """Take a path if it is cheaper than the best one so far."""
+        """Store a path if it is cheaper than the best one so far."""
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
             self.history.append((seconds, cost))
 
-    def ends(self, phase: str) -> None:
-        """Count the seconds since the last phase ended."""
+    def end_phase(self, phase: str) -> None:
+        """Add the seconds since the last phase ended to this phase."""
         now = time.perf_counter()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
         self._mark = now
 
-    def take_turns_to_go(self) -> Status | None:
-        """Have one robot go after the other, if they can; SOLVED if the path is good enough, or none is cheaper."""
-        if set(self.options.searchers) == set(SEARCHERS):  # else the result of one search by itself is wanted
+    def try_sequential_path(self) -> Status | None:
+        """Move the robots one after the other if possible; return SOLVED if this is accepted or optimal."""
+        if set(self.options.searchers) == set(SEARCHERS):  # one search was not requested alone
             path = sequential_path(self.problem)
-            self.ends("search")
+            self.end_phase("search")
             if path is not None:
                 self.offer(path, _SEQUENTIAL, math.inf)
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
             self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
-        enough = (1 + _ROUNDING) * self.lower_bound
+        accepted_cost = (1 + _ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
-            self.enough = enough = self.options.cost_factor * enough
-        return Status.SOLVED if self.cost <= enough else None
+            self.accepted_cost = accepted_cost = self.options.cost_factor * accepted_cost
+        return Status.SOLVED if self.cost <= accepted_cost else None
 
     def search_until_limit(self) -> Status:
-        """Search, then search better, until the path is good enough or a limit is reached."""
+        """Search and improve the path until its cost is accepted or a limit is reached."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, self._fits)
         if weight is None:
-            weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
+            weight = max(_WEIGHT, _WEIGHT_PER_ROBOT * len(self.problem.robots))
         while True:
             status, step = self._search_lattices(step, weight, options)
-            if status is not Status.SOLVED or self.cost <= self.enough:
+            if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
                 return limit
-            # A finer lattice and a smaller weight, or on a given lattice best-first search alone: LaCAM would do the
-            # same again.
+            # Refine the lattice and lower the weight. On a given lattice LaCAM would only repeat itself.
             lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
             if options.step is None:
                 step, weight = step / _REFINEMENT, lighter
@@ -215,20 +201,14 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
-        """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
-
-        Which lattice has room for robots to pass one another is not known before; one that has none would keep a
-        single search busy for ever. Every round adds a lattice and lets the searches on each of the others go on.
-
-        Returns:
-            Why they ended, and the step of the lattice of the last one.
-        """
+        """Search finer and finer lattices in turns until one search succeeds; return the status and the last step."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         try:
             while True:
                 if limit := self.budget.exceeded():
                     return limit, step
+                # A lattice without room to pass would keep one search busy forever: every round adds a lattice.
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
                     return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
@@ -236,8 +216,8 @@ class Run:
                     step = joint.step
                     with suppress(TimeoutError):
                         running.append(Searches(joint, self.heuristic, weight, options, self.budget))
-                        weight *= _GREEDIER
-                    self.ends("heuristic")
+                        weight *= _WEIGHT_GROWTH
+                    self.end_phase("heuristic")
                 for searches in reversed(running):
                     self.progress.set_postfix(
                         step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
@@ -247,8 +227,8 @@ class Run:
                     except TimeoutError:
                         status = Status.TIME_LIMIT
                     finally:
-                        self.ends("search")
-                        self.samples = searches.joint.configurations(searches.state)
+                        self.end_phase("search")
+                        self.samples = searches.joint.configurations(searches.node_states)
                     if status is Status.MEMORY_LIMIT:
                         self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
                     if status is Status.SOLVED:
@@ -262,31 +242,30 @@ class Run:
                         return status, searches.joint.step
                 step /= _REFINEMENT
                 if not running and self.options.step is None:
-                    # A lattice of places for packed robots has none to spare, as where a full ring must turn.
+                    # The lattice for packed robots has no spare cell, for example if a full ring must rotate.
                     step = min(step, first_step(self.problem, self._fits, may_be_packed=False))
         finally:
             for searches in running:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up.
-
-        Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried, as long
-        as their lattices are small.
-        """
+        """Build the lattices of a step; return None if a robot's goal is unreachable on them, or time is up."""
         problem = self.problem
         straight, joint = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
         try:
             joint = build_lattices(problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
                 joint = None
-            while joint is not None and may_halve and (joint.least_costs > _AROUND * straight).any():
+            # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
+            while joint is not None and may_halve and (joint.least_costs > _DETOUR * straight).any():
                 half = joint.step / 2
-                if _work(problem, half) > _MOST_FIRST or self._needed(half) >= self.options.max_memory:
+                if (
+                    _num_motions_to_test(problem, half) > _MAX_FIRST_TESTS
+                    or self._needed(half) >= self.options.max_memory
+                ):
                     break
                 finer = build_lattices(problem, half, self.test)
-                # One that a robot cannot reach its goal on costs infinitely much.
-                if not finer.least_costs.sum() <= (1 - _SHORTER) * joint.least_costs.sum():
+                if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break
                 joint = finer
                 self._fits(half)
@@ -294,32 +273,32 @@ class Run:
         except TimeoutError:
             return None
         finally:
-            self.ends("lattice")
+            self.end_phase("lattice")
 
     def _improve(self, searches: "Searches") -> None:
-        """Offer a path that was found, then cheaper ones along the lattices, then shortened ones till one will do."""
+        """Offer the path that a search found, then replan and shorten it until its cost is accepted."""
         found_by, state = searches.found
         path, factor = self._path(searches, state)
         self.offer(path, found_by, factor)
-        # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
-        gains = self.enough < math.inf or factor > _NEAR_LEAST
+        # If the path costs little more than the least costs, shortening alone finds what can be gained.
+        gains = self.accepted_cost < math.inf or factor > _NEAR_LEAST
         if len(self.problem.robots) > 1 and len(state) > 1 and gains:
             path, factor = self._path(searches, self._replanned(searches, state))
         for number, shortened in enumerate((shorten, shorten_in_corridors, shorten)):
-            if self.cost <= self.enough < math.inf:
+            if self.cost <= self.accepted_cost < math.inf:
                 return
-            if number == 1 and len(self.problem.robots) == 1 and self.enough == math.inf:
-                continue  # shortcuts leave a lone robot little to gain
-            if number == 2:  # a row in the middle of every motion
+            if number == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
+                continue  # after shortcuts, corridors gain little for a single robot
+            if number == 2:  # add a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
             more = (searches.joint.step / 2,) if number == 1 else ()
             path = shortened(self.problem, path, self.test, *more)
-            self.ends("shorten")
+            self.end_phase("shorten")
             self.offer(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
-        """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
+        """Replan the robots one by one among the others, then neighborhoods of robots while the cost falls."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
         rows = np.concatenate([state, waiting])
@@ -328,38 +307,37 @@ class Run:
         table = None
         with suppress(TimeoutError):
             table = ReservationTable(joint, rows, budget)
-            # Whenever time is up from here on, the table's paths are free of collisions.
+            # From here on the table's paths are free of collisions, whenever time is up.
             replan_each(table)
             rng, gains = np.random.default_rng(0), True
             while gains:
                 path, factor = self._path(searches, table.state)
                 self.offer(path, found_by, factor)
-                if self.cost <= self.enough or budget.exceeded():
+                if self.cost <= self.accepted_cost or budget.exceeded():
                     break
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
                 gains = before - table.cost.sum() > _GAIN * before
-        self.ends("replan")
+        self.end_phase("replan")
         if table is None:
             return state
         path, factor = self._path(searches, table.state)
         self.offer(path, found_by, factor)
-        table.held.release()
-        # Without the rows at its end in which all robots wait.
+        table.memory_use.release()
+        # Drop the rows at the end in which all robots wait.
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """The path of a state, and its cost over that of each robot's cheapest motions alone."""
+        """Return the path of joint states, and its cost over the sum of the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
-            # A robot's goal is its start but for whole turns: the path begins with these.
-            path = np.concatenate([self.problem.starts[None], path])
+            path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Whether the lattices of a step fit into memory beside what is there. What they need is reported."""
+        """Return whether the lattices of a step fit into memory; record the memory that they need."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -368,13 +346,13 @@ class Run:
         return self.budget.memory + num_bytes(self.problem, step)
 
 
-_MOTION_BYTES = 92  # what a motion takes while its table is built
-_COLUMN_BYTES = 16  # what a robot's costs to and from a node take
-_TURNING = 4  # times as long as a round robot's motion one takes to test that turns
+_MOTION_BYTES = 92  # memory of a motion while its table is built
+_COLUMN_BYTES = 16  # memory per robot and node of costs-to-go and costs-to-come
+_TURNING = 4  # time of a motion test with turns, over the time without
 
 
 def num_bytes(problem: Problem, step: float) -> float:
-    """About what the lattices of a step take if all is free, so that those too large are not begun."""
+    """Estimate the memory of the lattices of a step, assuming that all cells are free."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
@@ -382,40 +360,27 @@ def num_bytes(problem: Problem, step: float) -> float:
     return total
 
 
-def _work(problem: Problem, step: float) -> float:
-    """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
+def _num_motions_to_test(problem: Problem, step: float) -> float:
+    """Estimate the number of motion tests that the lattices of a step need, in tests of round robots."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
 
 
 def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
-    """The robots that share a table, with the weight of their turns, and how many there are."""
     return Counter(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
 
 
-# The first turn of each search: idle steps of LaCAM a robot; expansions of best-first search over the robots or over
-# their square, whichever is less, as an expansion takes as long as there are pairs of robots.
-_IDLE_STEPS, _EXPANSIONS, _EXPANSIONS_OF_PAIRS = 8, 1024, 4096
-_TERM_BYTES = 8  # what a term of the heuristic takes, which is kept twice where it was asked for
-_LONGER = 1.5  # growth of turns
+# Length of the first turn of each search. Best-first search takes the smaller of its two limits.
+_IDLE_STEPS = 8  # LaCAM: steps per robot without progress
+_EXPANSIONS = 1024  # best-first search: expansions, divided by the number of robots
+_EXPANSIONS_OF_PAIRS = 4096  # best-first search: expansions, divided by the squared number of robots
+_TERM_BYTES = 8  # memory of a term of the heuristic; given heuristics are stored twice
+_TURN_GROWTH = 1.5
 
 
 class Searches:
-    """LaCAM and best-first search, or one of them, on lattices.
-
-    Both go by the heuristic, and by the costs-to-go along the lattices if there is none.
-
-    Args:
-        joint: The lattices.
-        heuristic: As given to the planner.
-        weight: Of the heuristic in best-first search.
-        options: Those of the planner.
-        budget: What it may still do.
-
-    Raises:
-        TimeoutError: If the deadline passes before the heuristic is known.
-    """
+    """LaCAM and best-first search, or one of them, on the lattices of one step."""
 
     def __init__(
         self,
@@ -426,26 +391,19 @@ class Searches:
         budget: SearchBudget,
     ):
         self.joint, self.weight, self.options, self.budget = joint, weight, options, budget
-        self.held = HeldMemory(budget)
+        self.memory_use = MemoryUse(budget)
         num_nodes = sum(len(lattice.q) for lattice in joint.lattices)
-        self.held.add(
+        self.memory_use.add(
             int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2)
         )
         self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, budget.deadline)
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in options.searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), budget)
-        self.turn = 1.0  # length of the next one, in first ones
+        self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Let each search go on for a turn, which is half as long again as the one before.
-
-        Returns:
-            SOLVED, or the limit that is reached; EXHAUSTED if no path along the lattices is left; None for a pause.
-
-        Raises:
-            TimeoutError: If the deadline passes within a step.
-        """
+        """Run each search for one turn, then lengthen turns; return why a search ended, or None for a pause."""
         budget, status = self.budget, None
         num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
         if finds_all:
@@ -458,50 +416,51 @@ class Searches:
             status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
         elif not finds_all:
             return Status.MEMORY_LIMIT
-        self.turn *= _LONGER
+        self.turn *= _TURN_GROWTH
         return status
 
     def release(self) -> None:
-        """Stop counting what the lattices and the searches hold."""
+        """Release the memory that the lattices and the searches were counted with."""
         for each in (self, *self.running.values()):
-            each.held.release()
+            each.memory_use.release()
 
     @property
     def found(self) -> tuple[str, State]:
-        """The search that has reached the goals, and its states from the starts to them."""
-        return next((name, search.branch) for name, search in self.running.items() if search.found is not None)
+        """The name of the search that reached the goals, and its joint states from the starts to the goals."""
+        return next(
+            (name, search.solution_states) for name, search in self.running.items() if search.found is not None
+        )
 
     @property
-    def state(self) -> State:
-        """The nodes of the search that has more of them, or the starts before there is one."""
+    def node_states(self) -> State:
+        """Node states of the search that has more nodes, or the starts if there is no search yet."""
         starts = np.array([[lattice.start for lattice in self.joint.lattices]])
-        return max((search.state for search in self.running.values()), key=len, default=starts)
+        return max((search.node_states for search in self.running.values()), key=len, default=starts)
 
     @property
     def num_bytes_needed(self) -> int:
-        """What best-first search needs to begin, beside what is held."""
+        """Additional memory that best-first search needs to begin."""
         return 0 if "bl" in self.running else bytes_of_tables(self.joint)
 
 
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """A step to begin with, of lattices that are built soon: the coarsest one tried if they do not fit."""
-    # Cells about as large as the smallest robot, whose lattices have room for it to pass.
+    """Choose the first step: fine enough for robots to pass one another, coarse enough to build quickly."""
+    # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
     size = min(size or _POINT_STEP * extent for size in sizes)
-    # Where many robots are under way at once, wider ones, as gaps narrower than a step close for good.
+    # 2. A crowd needs larger cells, as gaps narrower than a step stay closed.
     widths = np.array([robot.breadth for robot in problem.robots])
-    wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _ABREAST) ** 2, 1.0, _WIDEST))
-    # At a door they would do so as well: none may be narrower, for the centers of robots, than such a step.
+    wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _CROWD_WIDTH) ** 2, 1.0, _MAX_CROWD_GROWTH))
+    # Larger cells must not close a door for the centers of robots.
     if wide > size and problem.workspace.free_space.buffer(-(widths.max() + wide) / 2).geom_type == "Polygon":
         size = wide
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
-    # Robots that are packed move from place to place, one a robot, as in a sliding puzzle: all of them, or small ones
-    # would have a lattice of large ones' places. One may be as wide as the workspace, but for the tolerance.
+    # 3. Packed robots move between cells of one robot each, as in a sliding puzzle.
     if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
-    while step < _COARSEST * extent and (_work(problem, step) > _MOST_FIRST or not fits(step)):
+    while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MAX_FIRST_TESTS or not fits(step)):
         step *= _REFINEMENT
     return step

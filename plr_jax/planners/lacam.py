@@ -1,4 +1,14 @@
-"""LaCAM: search over joint configurations one step apart, under constraints that grow, by PIBT's steps of a team."""
+"""LaCAM: a lazy search over joint configurations, which adds constraints to the team steps that PIBT finds.
+
+PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
+priorities. A robot takes its best primitive that keeps clear of all chosen ones. Robots that can then no longer stay
+in place must make way: they choose next, and if one of them fails, the primitive is given up. Every robot without a
+choice can thus stay in place, so that without constraints a step always exists. Robots have a shape here, so one
+robot may ask several others to make way.
+
+References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
+Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+"""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -10,46 +20,35 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._solution import HeldMemory, SearchBudget, Status
+from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice
 
-# What the robots of a team may do next from a joint configuration, and which of their motions collide.
-
-
 Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
-JointNode: TypeAlias = Int[np.ndarray, "robots"]  # nodes of all robots
+JointNode: TypeAlias = Int[np.ndarray, "robots"]  # the lattice node of each robot
 Robots: TypeAlias = Int[np.ndarray, "m"]
-
-_MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
-_FEW_PAIRS = 64  # tested as soon as looked up
-_ALIGNED = 1 / 16  # of the tolerance, within which a configuration counts as the center of a cell
+_MOST = 1 << 21  # pairs of motions tested at once, between two checks of the clock
+_FEW_PAIRS = 64  # up to so many pairs, testing is as fast as a lookup
+_ALIGNED = 1 / 16  # share of the tolerance within which a configuration counts as the center of a cell
+_MOST_CHOICES = 100  # choices per robot in one step, after which no robot is asked to make way
+_MOST_FAILURES = 8  # failures of a robot to make way, after which it is not asked again
+_NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # memory of a node, and of each of its robots
+_CONSTRAINT_BYTES = 100
+_ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The motions of each robot from a joint configuration.
+    """The motions of each robot from a joint configuration."""
 
-    Args:
-        child: Where each primitive of each robot leads.
-        ranked: Each robot's primitives that hit no obstacle, best first.
-        neighbors: Of each robot the others that it can meet, and for each of its primitives those of the other that
-            collide with it.
-    """
-
-    child: list[list[int]]
-    ranked: list[list[int]]
-    neighbors: list[list[tuple[int, list[Bits]]]]
+    child: list[list[int]]  # the node that each primitive of each robot leads to
+    ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
+    neighbors: list[list[tuple[int, list[Bits]]]]  # other robot, and by primitive, its primitives that collide
 
 
 class TeamMoves:
-    """The moves of a team on its lattices, all robots scored at once by their heuristic, near ones tested at once.
-
-    Args:
-        joint: The team. A call past the deadline of its test raises ``TimeoutError``.
-        terms: Estimated costs-to-go of each robot, by node, ``inf`` where unknown.
-    """
+    """A callable that computes the team's :class:`Moves`; past the deadline it raises ``TimeoutError``."""
 
     def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
-        self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)
+        self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
         self.tolerance, self.deadline = joint.problem.workspace.tolerance, joint.test.deadline
         self.of_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in joint.kinds]
         self.kind = np.array([joint.kinds.index(lattice.kind) for lattice in joint.lattices])
@@ -58,7 +57,7 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
-        """The moves from a joint configuration."""
+        """Return the moves from a joint node."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -104,13 +103,13 @@ class TeamMoves:
         cells: Int[np.ndarray, "m 2"],
         neighbors: list[list[tuple[int, list[Bits]]]],
     ) -> None:
-        """Add neighbors of one kind that move between centers of cells, by how many cells they are apart."""
+        """Add pairs of neighbors of one kind at cell centers; collisions depend only on their offset in cells."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
             apart, moves = (np.array(new) * kind.side)[:, None, None], kind.offset
             ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
-            # What places and ends are off adds up to less than half the tolerance: 3/16 of it along each axis.
+            # Misalignments add up to at most 3/16 of the tolerance along each axis: half of it covers them.
             collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
             known.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
@@ -120,11 +119,11 @@ class TeamMoves:
                 neighbors[other].append((robot, known[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
-        """The heuristic of each robot."""
+        """Return the heuristic of each robot."""
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
+        """Yield pairs of robots that primitives may bring together, grouped by their two kinds."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -140,28 +139,12 @@ class TeamMoves:
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
-    """Rows of flags as sets."""
+    """Convert each row of flags to a set."""
     return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
-# One step of a whole team: priority inheritance with backtracking (PIBT).
-#
-# Robots choose in the order of their priorities. Each takes its best primitive that keeps clear of what others have
-# chosen. Robots that have not chosen may be asked to make way: they choose next, and where one finds nothing, the
-# primitive is given up. So whoever has not chosen can stay where it is, and without constraints there always is a
-# step.
-#
-# References:
-#     Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022. There,
-#     robots are points on a graph; here they have a shape, so that one may ask several others to make way.
-
-
-_MOST_CHOICES = 100  # tried a robot, before nobody is asked to make way any more
-_MOST_FAILURES = 8  # of a robot to make way, before it is not asked any more
-
-
 class PIBT:
-    """A step of the team that is being found: what robots have chosen, and what they may still choose."""
+    """The construction of one step of the team: chosen primitives, and primitives that are still allowed."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -169,16 +152,11 @@ class PIBT:
         self.allowed: list[Bits] = [-1] * len(moves.ranked)
         self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
-        self._robots: list[int] = []  # in the order in which they chose
-        self._changes: list[tuple[int, Bits]] = []  # to what is allowed: whom it was, and what it was
+        self._robots: list[int] = []  # in the order of their choices
+        self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """The primitives of all robots; None if none were found under the constraints.
-
-        Args:
-            order: The robots, those of the highest priority first.
-            constraints: Robots, and the primitives that they must choose.
-        """
+        """Return all robots' primitives, or None; each of the ``constraints`` prescribes the primitive of a robot."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -192,7 +170,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose the best primitive for which others make way; whether there is one."""
+        """Choose the best primitive that others can make way for; return whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -203,7 +181,7 @@ class PIBT:
         return False
 
     def _choose(self, robot: int, primitive: int) -> list[int]:
-        """Choose a primitive: others may no longer choose what collides with it. Those that can not even stay."""
+        """Choose a primitive and disallow those that collide with it; return robots that cannot stay in place."""
         chosen, allowed, in_the_way = self.chosen, self.allowed, []
         chosen[robot] = primitive
         self._robots.append(robot)
@@ -219,7 +197,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Let those choose that cannot stay where they are; whether all of them can."""
+        """Let robots that cannot stay in place choose; return whether all succeed."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -230,7 +208,7 @@ class PIBT:
         return True
 
     def _undo(self, num_chosen: int, num_changes: int) -> None:
-        """Take back choices, the last ones first, until so many are left."""
+        """Restore the state with the given numbers of choices and changes."""
         while len(self._changes) > num_changes:
             robot, allowed = self._changes.pop()
             self.allowed[robot] = allowed
@@ -238,59 +216,40 @@ class PIBT:
             self.chosen[self._robots.pop()] = -1
 
 
-_NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # what a node takes, and for each of its robots
-_CONSTRAINT_BYTES = 100
-_ROUNDING = 1e-9
-
-
 @dataclass(eq=False)
 class Node:
-    """A joint configuration of the search.
-
-    Args:
-        state: Where the robots are.
-        parent: Where they came from.
-        waiting: Of each robot, steps since it was last at its goal, and for those at it less than 1: its priority.
-        order: The robots by priority, the highest first.
-        constraints: What to ask of the next steps from here.
-    """
+    """A joint configuration of the search."""
 
     state: JointNode
     parent: "Node | None"
-    waiting: Float[np.ndarray, "robots"]
-    order: list[int]
-    constraints: deque[tuple[tuple[int, int], ...]]
+    priority: Float[np.ndarray, "robots"]  # steps since the robot was at its goal; below 1 at the goal
+    order: list[int]  # robots by priority, the highest first
+    constraints: deque[tuple[tuple[int, int], ...]]  # of the next steps from here
 
 
 class LaCAM:
-    """Okumura's search: the newest node is asked for one more step of the team, until all are at their goals.
+    """Depth-first search in which the newest node makes one more step of the team, until all are at their goals.
 
-    A node's first step is free. Each step after that begins with more constraints: the robot next in the order of
-    priorities must choose another primitive. So every step is tried in the end, but hardly ever has to be. A step to
-    a node that is known puts that on top again.
-
-    References:
-        Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+    The first step of a node is unconstrained. Each later step constrains one more robot, in the order of priorities,
+    to another primitive; in the end all steps are tried. A step to a known node puts that node on top of the stack
+    again.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
-        self.joint, self.moves, self.budget, self.held = joint, moves, budget, HeldMemory(budget)
+        self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         far = np.nan_to_num(moves.estimates(start), posinf=0.0)
-        self.at_rest = far / (1 + far.max())  # among robots at their goals, those go first that came from far
+        self.rest_priority = far / (1 + far.max())  # among robots at their goals, higher for a longer way
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None
-        self.nearest = float("inf")  # least sum of the estimates of a node
-        self.num_idle = 0  # steps that brought it no nearer
+        self.least_estimate = float("inf")  # least sum of estimates over the nodes
+        self.num_idle = 0  # steps since the least estimate fell
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search on until the goals are reached, nothing is left, or a limit is reached, and say which.
-
-        None for a pause: after so many steps in a row that brought the team no nearer to its goals.
-        """
+        """Search until ``max_idle`` steps in a row make no progress; return the reason to stop, None for a pause."""
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():
@@ -299,7 +258,6 @@ class LaCAM:
             if not node.constraints:
                 self.open.pop()
             else:
-                # One more step of the team, under the node's next constraints.
                 constraints = node.constraints.popleft()
                 moves = self.moves(node.state)
                 self.num_idle += 1
@@ -308,7 +266,7 @@ class LaCAM:
                 if len(constraints) < len(node.order):
                     robot = node.order[len(constraints)]
                     node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
-                    self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+                    self.memory_use.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
                 primitives = PIBT(moves).find(node.order, constraints)
                 if primitives is not None:
                     self.budget.num_children_valid += 1
@@ -320,8 +278,8 @@ class LaCAM:
         return None if self.open else Status.EXHAUSTED
 
     @property
-    def branch(self) -> Int[np.ndarray, "n robots"]:
-        """States from the starts to the goals, once these are found."""
+    def solution_states(self) -> Int[np.ndarray, "n robots"]:
+        """Joint states from the starts to the goals, once these are found."""
         states, node = [], self.found
         while node is not None:
             states.append(node.state)
@@ -329,25 +287,25 @@ class LaCAM:
         return np.array(states[::-1])
 
     @property
-    def state(self) -> Int[np.ndarray, "n robots"]:
-        """All nodes, in the order of their making."""
+    def node_states(self) -> Int[np.ndarray, "n robots"]:
+        """Joint states of all nodes, in the order of creation."""
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
-        """Put a state on top, as a new node if it is not known."""
+        """Push a joint state on the stack, as a new node unless it is known."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:
             arrived: Bool[np.ndarray, robots] = state == self.goal
-            before = self.at_rest if parent is None else parent.waiting + 1
-            waiting = np.where(arrived, self.at_rest, before)
-            order = np.argsort(-waiting, kind="stable").tolist()
-            node = self.nodes[key] = Node(state, parent, waiting, order, deque([()]))
+            before = self.rest_priority if parent is None else parent.priority + 1
+            priority = np.where(arrived, self.rest_priority, before)
+            order = np.argsort(-priority, kind="stable").tolist()
+            node = self.nodes[key] = Node(state, parent, priority, order, deque([()]))
             self.budget.num_nodes += 1
-            self.held.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
+            self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.found = node
             estimate = float(self.moves.estimates(state).sum())
-            if estimate < (1 - _ROUNDING) * self.nearest:
-                self.nearest, self.num_idle = estimate, 0
+            if estimate < (1 - _ROUNDING) * self.least_estimate:
+                self.least_estimate, self.num_idle = estimate, 0
         self.open.append(node)

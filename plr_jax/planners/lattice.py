@@ -1,13 +1,12 @@
-"""Lattices: the configurations that robots visit, and the motions between them.
+"""Lattices: the configurations that robots visit in a search, and the motions between them.
 
-A lattice is a grid of cells over a robot's configuration space. Every cell that holds a free configuration has one
-representative: its center where that is free, else the free sample farthest from obstacles, so that a passage
-narrower than a cell is still found. Primitives lead from cell to cell. Headings are periodic.
+A lattice is a grid of cells over a robot's configuration space, periodic in the heading. The representative of a cell
+is its center if that is free, else its free sample with the largest clearance; a passage narrower than a cell is thus
+still found. A primitive is a motion between representatives of neighboring cells.
 
-Robots of one kind share a table of the motions between representatives. The start and the goal of each robot
-represent their cells for that robot, which makes the ends of every path exact: they are nodes of the table beside the
-others. Where both lie in one cell, one more primitive leads from each to the other, and motions to the cell lead to
-the goal.
+Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
+nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their cells. If
+both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
 """
 
 import math
@@ -24,179 +23,152 @@ from scipy.sparse import csr_array
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
+from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
-# Motions of a robot besides staying, as offsets (columns, rows, turns) in cells: to the eight neighbors, and a turn
-# either way. Round robots leave out those that turn.
+# Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
 PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
 
-_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
-_SECONDS = 3e-7  # about what an edge takes to be found, or a node to be reached, which cannot be cut short
+_GOALS, _NODES = 8, 1 << 19  # most goals, and most nodes times goals, of one Dijkstra call, which has no deadline
+_SECONDS = 3e-7  # estimated time of a Dijkstra call per node
+_SAMPLES = 7  # samples per axis in a cell whose center is blocked
+_WIDEST_TURN = np.pi / 4
+_ROUNDING = 1e-9
+_MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
+_CHUNK = 1 << 12  # cells at a time, between two checks of the clock
 
-State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint configurations, as indices into the robots' lattices
-Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
+Cells: TypeAlias = Int[np.ndarray, "n"]
+Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
+Configurations: TypeAlias = Float[np.ndarray, "n dof"]
+State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
+Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # child and cost
 
 
-class Ends(NamedTuple):
-    """The starts and the goals of robots, which stand for their cells.
-
-    Args:
-        node: Their nodes.
-        cell: The nodes of their cells' representatives, which the robot never visits.
-        begin: Where the motions to them by each primitive begin, -1 where none does: first the motions from
-            representatives, then those from the robot's other end. No motion leads to both.
-        cost: What these motions cost, ``inf`` where they are not free.
-    """
+class Terminals(NamedTuple):
+    """Starts (column 0) and goals (column 1) of a kind's robots; they replace the cells' representatives."""
 
     node: Int[np.ndarray, "robots 2"]
-    cell: Int[np.ndarray, "robots 2"]
+    cell: Int[np.ndarray, "robots 2"]  # nodes of the cells' representatives, which the robot never visits
+    # Begin nodes (-1 for none) and costs (inf if not free) of the motions into starts and goals, by primitive. Third
+    # axis: motions from a representative, or from the robot's other terminal. No motion leads to both terminals.
     begin: Int[np.ndarray, "robots 2 2 primitives"]
     cost: Float[np.ndarray, "robots 2 2 primitives"]
 
 
 class Kind:
-    """Robots of one kind: a table of motions that they share, and the same motions as edges of a graph.
+    """Robots of one kind: their shared table of motions, and the same motions as edges of a graph.
 
-    The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which no primitive
-    of the table leads. The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its
-    own configuration at infinite cost.
-
-    Edges that all robots share come first, staying among them, then those into the ends of each robot.
-
-    Attributes:
-        robot: The shape of the robots.
-        members: Their indices in the team.
-        q: The configurations, ``(nodes, dof)``.
-        child, cost: Where the primitives of each node lead and what they cost, ``(nodes, primitives)``.
-        side: Sides of a cell, ``(dof,)``.
-        offset: How far each primitive leads from the center of a cell, ``(primitives, dof)``.
-        ends: Their starts and goals.
-        stride: The longest motion, in workspace units.
-        reach: How far a robot's corners come from where a motion begins at most, in workspace units.
-        begin, end, edge_cost: Nodes and costs of each edge. One more, edge ``num_edges``, leads nowhere at infinite
-            cost.
-        own: For each robot the edges into its start and its goal.
+    Nodes are the representatives of the ``num_cells`` free cells, then the starts and goals, which no primitive of
+    the table leads to. Primitive 0 stays in place. A primitive that leaves the lattice or hits an obstacle leads to
+    its own node at infinite cost. Edges shared by all robots come first, then the edges into each robot's start and
+    goal (``terminal_edges``), then edge ``num_edges``, which leads nowhere at infinite cost.
     """
 
     def __init__(
         self,
         robot: Robot,
-        members: Int[np.ndarray, "robots"],
+        members: Int[np.ndarray, "robots"],  # indices in the team
         q: Float[np.ndarray, "nodes dof"],
-        leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],
+        leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],  # child and cost
         num_cells: int,
-        side: Float[np.ndarray, "dof"],
-        offset: Float[np.ndarray, "primitives dof"],
-        ends: Ends,
+        side: Float[np.ndarray, "dof"],  # of a cell
+        offset: Float[np.ndarray, "primitives dof"],  # displacement of each primitive between cell centers
+        terminals: Terminals,
     ):
         self.robot, self.members, self.q, self.num_cells = robot, members, q, num_cells
-        (self.child, self.cost), self.side, self.offset, self.ends = leads, side, offset, ends
+        (self.child, self.cost), self.side, self.offset, self.terminals = leads, side, offset, terminals
         moves = np.nonzero(np.isfinite(self.cost))
         shared = moves[0], self.child[moves], self.cost[moves]
-        own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
-        into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
+        own = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
+        into_ends = terminals.begin[own], terminals.node[own[:2]], terminals.cost[own]
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
-        self.own = np.split(
+        self.terminal_edges = np.split(
             np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(members)))
         )
         x, y = (q[self.end] - q[self.begin])[:, :2].T
-        self.stride = float(np.hypot(x, y).max())
-        self.reach = robot.circumscribed_radius + self.stride
+        self.stride = float(np.hypot(x, y).max())  # length of the longest motion
+        self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Where the primitives of nodes lead one robot, or each its own of all, and what they cost.
-
-        Motions to a start or a goal take the place of those to its cell.
-        """
+        """Return target and cost of the primitives of nodes, for one robot ``row``, or for all robots at once."""
         child, cost = self.child[node], self.cost[node]
-        enters = self.ends.begin[row] == node[:, None, None, None]
+        enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
-        entry = np.broadcast_to(self.ends.cost[row], enters.shape)[enters]
-        end = np.broadcast_to(self.ends.node[row][..., None, None], enters.shape)[enters]
+        entry = np.broadcast_to(self.terminals.cost[row], enters.shape)[enters]
+        end = np.broadcast_to(self.terminals.node[row][..., None, None], enters.shape)[enters]
         child[at, primitive] = np.where(np.isfinite(entry), end, node[at])
         cost[at, primitive] = entry
         return child, cost
 
     @cached_property
-    def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        """The shared edges that end in each node, filled up with ``num_edges``."""
+    def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        """For each node, the shared edges that end there, padded with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
-        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
+        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order
         return into
 
-    def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """The edges of one robot that end in each node, filled up with ``num_edges``."""
-        into, own = self._into_nodes.copy(), self.own[row]
-        into[:, self.ends.cell[row]] = self.num_edges
-        for node in self.ends.node[row]:
+    def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
+        """Return, for each node, the edges of one robot that end there, padded with ``num_edges``."""
+        into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
+        into[:, self.terminals.cell[row]] = self.num_edges
+        for node in self.terminals.node[row]:
             edges = own[self.end[own] == node]
-            into[1 : 1 + len(edges), node] = edges  # after the one that stays
+            into[1 : 1 + len(edges), node] = edges  # after the edge that stays in place
         return into
 
     @cached_property
-    def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
+    def _sorted_edges(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Edges sorted by begin and end node, cheaper parallel edges first, and the sort keys."""
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
-    def along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
-        """The edges along a path."""
-        order, key = self._by_nodes
+    def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
+        """Return the cheapest edges along a path of nodes."""
+        order, key = self._sorted_edges
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
-    def _cheapest(self) -> Int[np.ndarray, "m"]:
-        """The shared edges that lead elsewhere and have no cheaper one beside them."""
-        order, key = self._by_nodes
+    def _cheapest_edges(self) -> Int[np.ndarray, "m"]:
+        """Shared edges, without loops and without parallel edges that are not cheapest."""
+        order, key = self._sorted_edges
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
-        """Cost of the cheapest motions from each node to the goals of some robots; ``inf`` where there are none.
-
-        That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
-        """
-        # Backward, each search begins at a node of its own, from which the edges into the goal lead.
-        num_nodes, goals, searches = len(self.q), self.ends.node[rows, 1], np.arange(len(rows))
-        search = np.repeat(searches, [len(self.own[row]) for row in rows])
-        own = np.concatenate([self.own[row] for row in rows])
+        """Return the least cost from each node to the goals of some robots, ``inf`` where unreachable."""
+        # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
+        num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
+        search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
+        own = np.concatenate([self.terminal_edges[row] for row in rows])
         into_goal = self.end[own] == goals[search]
-        edge = np.append(self._cheapest, own[into_goal])
-        begin = np.append(self.end[self._cheapest], num_nodes + search[into_goal])
+        edge = np.append(self._cheapest_edges, own[into_goal])
+        begin = np.append(self.end[self._cheapest_edges], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
-        """Cost of the cheapest motions from the start of one robot to each node but its goal, likewise."""
-        edge = self._cheapest
+        """Return the least cost from one robot's start to each node except its goal, ``inf`` where unreachable."""
+        edge = self._cheapest_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
-        return sparse_graphs.dijkstra(graph, indices=self.ends.node[row, 0])
+        return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:
-    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells.
-
-    Attributes:
-        kind: The kind of robot.
-        row: Which robot of its kind it is.
-        q: The configurations.
-        start, goal: The nodes of its ends.
-    """
+    """The nodes and motions of one robot; its start and goal replace the representatives of their cells."""
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
-        self.start, self.goal = kind.ends.node[row].tolist()
+        self.start, self.goal = kind.terminals.node[row].tolist()
 
     @cached_property
     def _motions(self) -> Leads:
@@ -204,18 +176,18 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Where the primitives of all nodes lead."""
+        """Target node of each node's primitives."""
         return self._motions[0]
 
     @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """What the primitives of all nodes cost."""
+        """Cost of each node's primitives."""
         return self._motions[1]
 
 
 @dataclass(frozen=True, eq=False)
 class JointLattice:
-    """The robots of a problem, each on its lattice, by kinds, and the team's motion test."""
+    """The lattices of all robots of a problem, grouped by kind, with the team's motion test."""
 
     problem: Problem
     step: float
@@ -225,10 +197,7 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, "_"]]:
-        """Cost of each robot's cheapest motions from each node to its goal, alone; ``inf`` where there are none.
-
-        ``TimeoutError`` if the deadline of the test passes first.
-        """
+        """For each robot, the least cost from each node to its goal if it is alone; ``inf`` where unreachable."""
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -240,20 +209,20 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, "robots"]:
-        """What the cheapest motions of each robot cost if it is alone; ``inf`` if it cannot reach its goal."""
+        """Least cost of each robot from start to goal if it is alone; ``inf`` if its goal is unreachable."""
         return np.array(
             [costs[lattice.start] for costs, lattice in zip(self.costs_to_go, self.lattices, strict=True)]
         )
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Joint configurations; round robots in a team with others keep the heading of their start."""
+        """Return joint configurations; a robot without heading keeps the heading given in its start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
-        """Where joint primitives lead, and what they cost."""
+        """Return the children and the costs of joint primitives."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
@@ -261,7 +230,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Rows in which two robots are near enough to meet, and there, which of their primitives collide."""
+        """Return rows in which two robots are near, and for these rows, which of their primitives collide."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -271,46 +240,32 @@ class JointLattice:
         return near, ~self.test.apart(i, *motions_a, j, *motions_b)
 
 
-# How the tables are built.
-
-_SAMPLES = 7  # along an axis of a cell whose center is blocked
-_WIDEST_TURN = np.pi / 4
-_ROUNDING = 1e-9
-_MOST_KEPT = 1 << 18  # motions of a kind of robot that are kept for the next problem
-_CHUNK = 1 << 12  # cells at a time, between two looks at the clock
-
-Cells: TypeAlias = Int[np.ndarray, "n"]
-Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
-Configurations: TypeAlias = Float[np.ndarray, "n dof"]
-
-
-class Motions(NamedTuple):
-    """A grid of equal cells over a robot's configuration space, their representatives, and motions between these."""
+class CellGrid(NamedTuple):
+    """A grid of equal cells over a robot's configuration space, with representatives and motions between cells."""
 
     lo: Float[np.ndarray, "dof"]
     shape: tuple[int, ...]
     side: Float[np.ndarray, "dof"]
-    offsets: Int[np.ndarray, "primitives dof"]
+    offsets: Int[np.ndarray, "primitives dof"]  # displacement of each primitive, in cells
     test: MotionTest
     rotation_weight: float
-    q: Float[np.ndarray, "cells dof"]
-    free: Bool[np.ndarray, "cells"]
+    q: Float[np.ndarray, "cells dof"]  # the representatives
+    free: Bool[np.ndarray, "cells"]  # whether the cell has a representative
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
-    def with_ends(
+    def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Robots of this kind, with their starts and goals."""
+        """Return the kind of these robots, with their starts and goals as nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
-        # The cells of ends, the nearest ones outside.
+        # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
         index[:, 2:] %= size[2:]
         cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
         differ = straight_costs(starts, goals, 1.0) > 0
         motions, (occupied, first) = self, np.unique(cells, return_index=True)
-        # 1. Ends represent their cells where nothing else does. The opposite of an offset may be no primitive: test
-        # all motions that begin or end in these cells.
+        # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell.
         missing = ~self.free[occupied]
         if missing.any():
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
@@ -318,14 +273,14 @@ class Motions(NamedTuple):
             motions.q[new], motions.free[new] = ends[first[missing]], True
             around, leads = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
             motions.connect(np.union1d(new, around[leads]))
-        # 2. One more primitive leads from a start to a goal in its cell, and back.
+        # 2. Add a primitive between a start and a goal in the same cell.
         if (differ & (cells[:num_robots] == cells[num_robots:])).any():
             motions = motions._replace(
                 offsets=np.append(motions.offsets, np.zeros_like(motions.offsets[:1]), axis=0),
                 child=np.append(motions.child, np.arange(len(motions.q))[:, None], axis=1),
                 cost=np.append(motions.cost, np.full((len(motions.q), 1), np.inf), axis=1),
             )
-        # 3. The table: motions that begin at representatives, then those that begin at starts and goals.
+        # 3. Build the table: motions from representatives, then motions from starts and goals.
         free, offsets = motions.free, motions.offsets
         nodes, num_cells = np.cumsum(free) - 1, int(free.sum())
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
@@ -335,7 +290,7 @@ class Motions(NamedTuple):
         cost[:, 0] = 0.0
         q, cost = np.concatenate([motions.q[free], ends]), np.concatenate([motions.cost[free], cost])
         child = np.concatenate([child, away], dtype=np.int32)
-        # 4. The motions into starts and goals. A goal that is the start, but for whole turns, is the same node.
+        # 4. Find the motions into starts and goals. A goal equal to the start, up to whole turns, is the same node.
         end_nodes = num_cells + np.arange(len(ends))
         end_nodes[:num_robots][~differ] += num_robots
         others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
@@ -345,16 +300,16 @@ class Motions(NamedTuple):
         crosses[:, -1] |= same_cell & (end_nodes != others_nodes)
         into = motions.costs(enters, motions.q[by], ends[:, None])
         across = motions.costs(crosses, others[:, None], ends[:, None])
-        # Into the cell of both, motions lead to the goal, and to the start only where the way to the goal is blocked.
+        # Motions into a cell with start and goal lead to the goal, or if that is blocked, to the start.
         to_goal = np.isfinite(into[num_robots:])
         enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
         begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
-        all_ends = Ends(*(np.stack(np.split(column, 2), axis=1) for column in columns))
+        all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
         return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """The cells some offsets away, and whether they are others that have a representative."""
+        """Return the cells at some offsets, and whether they are other cells with a representative."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
@@ -368,7 +323,7 @@ class Motions(NamedTuple):
         end: Float[np.ndarray, "n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Costs of straight motions, ``inf`` for those that are not possible or not free."""
+        """Return the costs of straight motions; ``inf`` for motions that are not possible or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -376,9 +331,9 @@ class Motions(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
-        """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
+        """Test the motions that begin in some cells, in place; raise ``TimeoutError`` past the deadline."""
         child, leads = self.neighbors(cells, self.offsets)
-        at_contact = self.test.is_at_contact(self.q)  # of an end alone, which others must not go through
+        at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
         cost = self.costs(leads, self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
@@ -386,39 +341,33 @@ class Motions(NamedTuple):
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
-    """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
+    """Estimate the number of configurations of a robot's lattice if all are free; ``inf`` on overflow."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """The lattices of all robots.
-
-    Robots of one kind share their motions, which are kept for the next problem in the same workspace unless they are
-    many. Cells are at most ``step`` wide; turning by one takes a robot's corners as far. Robots without a heading
-    have no turns.
-
-    Raises:
-        TimeoutError: If the deadline of the test passes first.
-    """
+    """Build all robots' lattices with cells at most ``step`` wide; a turn by a cell moves corners at most as far."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
         starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
-        motions = motions_of(problem.workspace, robot, weight, step, test.deadline)
-        kinds.append(motions.with_ends(robot, members, starts, goals))
+        motions = cell_grid(problem.workspace, robot, weight, step, test.deadline)
+        kinds.append(motions.with_terminals(robot, members, starts, goals))
     lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
     return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(each))], test)
 
 
-def motions_of(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> Motions:
-    """The motions of a kind of robot, as :func:`build_lattices` has them, without starts and goals."""
+def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
+    """Return the cell grid of a kind of robot, without starts and goals; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
-    return (_motions_kept if is_small else _motions)(workspace, robot, weight, step, Indifferent(deadline))
+    return (_cached_cell_grid if is_small else _build_cell_grid)(
+        workspace, robot, weight, step, IgnoredByCache(deadline)
+    )
 
 
-def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> Motions:
-    # Cells no larger than a step; headings are centered on the axes, along which hallways lie most often.
+def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> CellGrid:
+    # Cells are at most a step wide. Headings are centered on the axes, the most frequent directions of hallways.
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
     side = width / shape
@@ -433,14 +382,14 @@ def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, dea
     offsets = np.array([(0, 0, 0), *(p for p in PRIMITIVES if dof == 3 or p[2] == 0)])[:, :dof]
     child, per_position = np.empty((len(q), len(offsets)), dtype=np.intp), len(q) // num_positions
     free, cost = np.empty(len(q), dtype=bool), np.empty(child.shape)
-    motions = Motions(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
+    motions = CellGrid(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
 
     def stands_free(at: Configurations) -> Bool[np.ndarray, "n"]:
         return test(at, at, deadline) & ~test.is_at_contact(at)
 
-    # 1. Find a configuration of each cell: of blocked ones a sample, if the robot could fit anywhere in the cell.
+    # 1. Choose representatives: a sample if the center is blocked and the robot might fit into the cell.
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     pattern, reach = np.array(list(product(along, along))) * side[:2], np.hypot(*side[:2]) / 2
     for cells in chunks:
@@ -456,11 +405,11 @@ def _motions(workspace: Workspace, robot: Robot, weight: float, step: float, dea
         best = np.arange(len(blocked)) * len(pattern) + room.reshape(-1, len(pattern)).argmax(axis=1)
         at[blocked], free[blocked] = samples[best], is_free[best]
         motions.free[cells] = free
-    # 2. Test the motions between them.
+    # 2. Test the motions between representatives.
     for cells in chunks:
         require_time(deadline, "the lattice was built")
         motions.connect(np.arange(cells.start, cells.stop), deadline)
     return motions
 
 
-_motions_kept = lru_cache(maxsize=8)(_motions)
+_cached_cell_grid = lru_cache(maxsize=8)(_build_cell_grid)

@@ -1,8 +1,7 @@
-"""A table of reservations: when the motions of a team block which edges, and how robots are planned anew in between.
+"""A table of reservations: the edges that a team's motions block at each step, and replanning around them.
 
-References:
-    Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large neighborhood
-    search", 2021.
+References: Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large
+neighborhood search", 2021.
 """
 
 from collections.abc import Sequence
@@ -14,84 +13,67 @@ from scipy.spatial import KDTree
 
 from plr_jax._arrays import take_ragged
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._solution import HeldMemory, SearchBudget
+from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 
-_CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
-_ENTRY_BYTES = 200  # what an edge takes whose collisions are kept, besides the edges that collide with it
-_EDGE_BYTES, _NODE_BYTES = 2, 8  # what an edge takes, and a node while a robot is replanned, a step
+_CHUNK, _PAIRS = 256, 1 << 13  # most edges, and pairs of edges, at a time: they fit into the processor's cache
+_ENTRY_BYTES = 200  # memory of an edge whose colliding edges are cached, without those edges
+_EDGE_BYTES, _NODE_BYTES = 2, 8  # memory per step of an edge, and of a node while a robot is replanned
 _ROUNDING = 1e-9
-_GAIN = 1e-2  # share of the cost below which another round is not worth its time
-_NEIGHBORHOOD = 5  # robots
-
+_GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
+_NEIGHBORHOOD = 5  # robots in a neighborhood
 Edges: TypeAlias = Int[np.ndarray, "_"]
 
 
 class ReservationTable:
-    """The path of each robot on its lattice, and how many robots block each edge at each step.
-
-    Robots wait at no cost. So there are more steps than a path needs, which gives them time to wait. Which edges
-    collide with which is computed when it is first needed, and kept.
-
-    Attributes:
-        state: The nodes of each robot, ``(steps + 1, robots)``.
-        cost: What the paths of the robots cost.
-        least: What they would cost if each were alone.
-        held: Memory that it holds.
-
-    Raises:
-        TimeoutError: If time or memory is spent before all paths are reserved.
-    """
+    """The path of each robot on its lattice, and the number of robots that block each edge at each step."""
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
-        self.held = HeldMemory(budget)
-        self.held.add(num_bytes_of_table(joint, len(state)))
+        self.memory_use = MemoryUse(budget)
+        self.memory_use.add(num_bytes_of_table(joint, len(state)))
         self._costs_to_come: dict[int, np.ndarray] = {}
         pairs = [(a, b) for a in range(len(self.kinds)) for b in range(len(self.kinds))]
-        self._known: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
-        self._chunk = dict.fromkeys(pairs, 1)
-        self.place = {int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)}
-        size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
+        self._colliding_edges: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
+        self._chunk = dict.fromkeys(pairs, 1)  # edges tested at a time, adapted to their number of neighbors
+        self.kind_and_row = {
+            int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
+        }
+        size, dtype = (
+            len(state) - 1,
+            np.min_scalar_type(-2 * state.shape[1]),
+        )  # spare rows let robots wait, at no cost
         self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
-        # Of each kind the places of its nodes, and its edges by the node where they begin.
+        # For each kind, a tree of the node positions, and the edges sorted by begin node.
         self._near: list[tuple[KDTree, Edges, Edges]] = []
         for kind in self.kinds:
             begin = kind.begin[: kind.num_edges]
             order = np.argsort(begin, kind="stable")
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
-        self.cost, self.least = np.zeros(state.shape[1]), joint.least_costs
-        for i, (k, _) in self.place.items():
+        self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # in the team, and alone
+        for i, (k, _) in self.kind_and_row.items():
             kind = self.kinds[k]
-            self.cost[i] = kind.edge_cost[kind.along(self.state[:, i])].sum()
+            self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
         try:
-            for i in self.place:
+            for i in self.kind_and_row:
                 self.reserve(i)
         except TimeoutError:
-            self.held.release()
+            self.memory_use.release()
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Block the edges that collide with the path of a robot, or free them again if the change is -1.
-
-        Raises:
-            TimeoutError: If time or memory is spent before all collisions are found.
-        """
-        a = self.place[i][0]
-        motions = self.kinds[a].along(self.state[:, i])
+        """Block the edges that collide with a robot's path; a ``change`` of -1 releases them."""
+        a = self.kind_and_row[i][0]
+        motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
             colliding = self.collisions(a, motions, b)
             step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
-            blocked[step, np.concatenate(colliding)] += change  # no entry comes twice
+            blocked[step, np.concatenate(colliding)] += change  # no index occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """For each of some edges of kind ``a``, the edges of kind ``b`` whose motions collide with it.
-
-        Raises:
-            TimeoutError: If time or memory is spent before all are found. What was found is kept.
-        """
-        known, (ours, others) = self._known[a, b], (self.kinds[a], self.kinds[b])
+        """Return, for each given edge of kind ``a``, the edges of kind ``b`` whose motions collide with it."""
+        known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
         while len(missing):
@@ -113,28 +95,25 @@ class ReservationTable:
             row, edge = row[~apart], edge[~apart].astype(np.int32)
             found = [each.copy() for each in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
             known.update(zip(part.tolist(), found, strict=True))
-            self.held.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
+            self.memory_use.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
         return [known[edge] for edge in edges.tolist()]
 
-    def replan(self, i: int, most: float) -> bool:
-        """Give a robot whose path is released its cheapest one among the others; whether that costs at most ``most``.
-
-        If it does not, or time is up, the robot keeps its path.
-        """
-        k, row = self.place[i]
+    def replan(self, i: int, max_cost: float) -> bool:
+        """Give a released robot its cheapest path if that costs at most ``max_cost``; return whether it does."""
+        k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
-        start, goal = kind.ends.node[row].tolist()
+        start, goal = kind.terminals.node[row].tolist()
         if i not in self._costs_to_come:
             self._costs_to_come[i] = kind.costs_to_come(row)
-            self.held.add(self._costs_to_come[i].nbytes)
+            self.memory_use.add(self._costs_to_come[i].nbytes)
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0
-        nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
+        nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
         index = np.full(len(least), len(nodes))
         index[nodes] = np.arange(len(nodes))
-        into = kind.into_nodes(row)[:, nodes]
+        into = kind.edges_into_nodes(row)[:, nodes]
         begin, cost = index[kind.begin[into]], kind.edge_cost[into]
-        # Cost-to-come by step and node; the last column stands for all nodes that lead nowhere cheap.
+        # Cost-to-come by step and node. The last column stands for all nodes that exceed the cost.
         reached = np.full((len(self.state), len(nodes) + 1), np.inf)
         reached[0, index[start]] = 0.0
         for step in range(len(blocked)):
@@ -143,7 +122,7 @@ class ReservationTable:
             if self.budget.spent():
                 return False
         at = index[goal]
-        if not reached[-1, at] <= most * (1 + _ROUNDING):
+        if not reached[-1, at] <= max_cost * (1 + _ROUNDING):
             return False
         self.cost[i], self.state[-1, i] = reached[-1, at], goal
         for step in range(len(blocked) - 1, -1, -1):
@@ -154,20 +133,20 @@ class ReservationTable:
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    """About what a table of reservations takes, without the collisions."""
+    """Estimate the memory of a table of reservations, without the cached collisions."""
     num_edges = sum(kind.num_edges for kind in joint.kinds)
     num_nodes = max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan each robot in turn, those first that lose most, until that gains little."""
+    """Replan the robots one by one, those with the largest excess cost first, until a round saves little."""
     while True:
         before = table.cost.sum()
-        for i in np.argsort(table.least - table.cost).tolist():
+        for i in np.argsort(table.least_costs - table.cost).tolist():
             if table.budget.spent():
                 return
-            if table.cost[i] > table.least[i] * (1 + _ROUNDING):
+            if table.cost[i] > table.least_costs[i] * (1 + _ROUNDING):
                 table.reserve(i, -1)
                 table.replan(i, float(table.cost[i]))
                 table.reserve(i)
@@ -176,10 +155,7 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
-    """Replan robots one after the other, as if those to come were not there; whether that costs less.
-
-    If it costs more, all keep their paths. Paths that cost the same are taken over.
-    """
+    """Replan robots one after the other unless the cost would rise; return whether it falls."""
     robots = list(robots)
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
@@ -187,7 +163,7 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
     reserved = []
     try:
         for done, i in enumerate(robots):
-            spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
+            spent, needed = table.cost[robots[:done]].sum(), table.least_costs[robots[done + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
                 return False
             table.reserve(i)
@@ -203,10 +179,10 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
-    """Replan so many neighborhoods: a robot that loses, chosen at random, and those that come nearest to it."""
+    """Replan ``count`` neighborhoods: a random robot with excess cost, and the robots that come nearest to it."""
     for _ in range(count):
-        loss = np.maximum(table.cost - table.least, 0.0)
-        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least.sum():
+        loss = np.maximum(table.cost - table.least_costs, 0.0)
+        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():
             return
         i = int(rng.choice(len(loss), p=loss / loss.sum()))
         places = [lattice.q[at, :2] for lattice, at in zip(table.joint.lattices, table.state.T, strict=True)]

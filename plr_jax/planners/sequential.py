@@ -1,14 +1,11 @@
-"""The first path of a few discs among few walls, without a lattice: one goes after the other, on its shortest way.
+"""A first path for a few discs among few walls, without a lattice: the robots move one after the other.
 
-Ways run straight from corner to corner. While one robot goes, the others stand, at their starts or at their goals, in
-an order in which nobody is in the way. Where there is none, as of two that are bound for one another's place, one
-steps aside into a corner first. Who waits in vain sets out earlier, once the path turns out to be the best one.
+Each robot follows a shortest route, straight from corner to corner, while the others stand at their starts or goals.
+An order is chosen in which no robot blocks another. If there is none, as for two robots that swap places, one first
+steps aside into a corner. Arrays are small, so the number of NumPy calls dominates the run time.
 
-Numbers are few here, so that what counts is how many operations there are on arrays, or on single numbers.
-
-References:
-    Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg, Snoeyink, Lin and Manocha,
-    "Centralized path planning for multiple robots: optimal decoupling into sequential plans", 2009.
+References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
+planning for multiple robots: optimal decoupling into sequential plans", 2009.
 """
 
 from functools import cached_property, lru_cache
@@ -23,46 +20,35 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
 
-# A disc among walls, and its ways along the corners of free space.
-
-
-_MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattices are as soon there, and someone is nearly always in the way
-_WIDEST = 2.0  # turn at a tip of a wall above which a way around it has two corners
-_LEAST_COSINE = 1e-3  # of half a turn, so that narrow corners are not at infinity
-_STILL = 1e-200  # stands for a velocity of 0, by which can be divided
-_COMPLEX = np.array([1, 1j])  # numbers instead of points, whose arithmetic is quick where there are a few
-_DEPARTURES = 32  # times at which a robot may set out that are tried at most, but for the last one
-
+_MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattice searches are as fast, and no order of robots is likely to exist
+_SHARP_TURN = 2.0  # turn of the normals (radians) at a convex corner above which a route has two positions there
+_LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corners
+_STILL = 1e-200  # replaces a velocity of 0 as a divisor
+_COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
+_DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
 Points = Float[np.ndarray, "n 2"]
-Way = list[complex]
+Route = list[complex]
 Path = Float[np.ndarray, "steps robots dof"]
 Retimed = Float[np.ndarray, "rows robots dof"]
-Reaches = list[list[float]]
+TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
-    """The corners of free space between which a disc goes straight, each about its radius off both walls.
-
-    Attributes:
-        q: Where its center is there.
-        cost: What the shortest ways between them cost, ``inf`` where there is none.
-    """
+    """A disc's roadmap: positions where it touches both walls of a corner, joined by free straight motions."""
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
-        # No rounding error of a distance decides whether the disc touches or collides.
-        self._reach = radius - workspace.tolerance / 2
+        self._reach = radius - workspace.tolerance / 2  # so that rounding never turns contact into collision
         begin, end = boundary.segments.transpose(1, 0, 2)
         length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
-        # What its center must avoid is a box about each wall, whose sides are along the normal and the wall, and a
-        # circle about each corner that stands out.
+        # The center must avoid a box around each wall, aligned with the wall, and a circle around each convex corner.
         self._axes = np.concatenate([boundary.normal, -turned_left(boundary.normal)])
         self._middle = (self._axes * np.tile(middle, (2, 1))).sum(axis=1)[:, None]
         self._half = np.append(np.full(len(length), self._reach), length / 2)[:, None]
         turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
-        turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)  # negative where walls meet from within
+        turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)  # negative at concave corners
         self._tips = begin[turn > 0]
-        q = _places_at(begin, boundary.normal, turn, radius)
+        q = _positions_at(begin, boundary.normal, turn, radius)
         self.q = q[workspace.clearance(q) >= self._reach]
         first, last = np.triu_indices(len(self.q), 1)
         free = self.is_free(self.q[first], self.q[last])
@@ -71,13 +57,13 @@ class CornerRoadmap:
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
     def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, "n"]:
-        """Whether the disc stays clear of walls on straight ways from and to where it is free; it may touch them."""
+        """Return whether the disc hits no wall on straight motions between free positions; touching is allowed."""
         (x, y), (dx, dy) = begin.T, (end - begin).T
-        # Seen from where a way begins, it leads past a tip, and near.
+        # A motion hits a circle if it passes its center and comes too near.
         tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
         along, squared = tip_x * dx + tip_y * dy, dx * dx + dy * dy
         hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
-        # It is within both pairs of sides of a box at a time.
+        # A motion hits a box if it is between both pairs of sides at the same time (slab method).
         rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
         rate[np.abs(rate) < _STILL] = _STILL
         when, share = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
@@ -86,8 +72,8 @@ class CornerRoadmap:
         inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
-    def journeys(self, starts: Points, goals: Points) -> "list[Journey]":
-        """What equal robots need to know of their ways."""
+    def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
+        """Return the routes of equal robots from their starts to their goals."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
@@ -95,29 +81,29 @@ class CornerRoadmap:
         to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
         places = (ends @ _COMPLEX).tolist()
         columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
-        return [Journey(self, *of_one) for of_one in zip(*columns, strict=True)]
+        return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
-    def between(self, u: int, v: int) -> Way:
-        """The shortest way from one to another."""
-        way = [v]
-        while way[-1] != u:
-            way.append(int(self._previous[u, way[-1]]))
-        return [self.places[corner] for corner in reversed(way)]
+    def between(self, u: int, v: int) -> Route:
+        """Return the shortest route from corner ``u`` to corner ``v``."""
+        route = [v]
+        while route[-1] != u:
+            route.append(int(self._previous[u, route[-1]]))
+        return [self.places[corner] for corner in reversed(route)]
 
     @cached_property
     def places(self) -> list[complex]:
-        """Where its center is there, as complex numbers."""
+        """Corner positions as complex numbers."""
         return (self.q @ _COMPLEX).tolist()
 
 
-_kept = lru_cache(maxsize=16)(CornerRoadmap)
+_cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 
 
-def _places_at(
+def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """A disc's place at each corner, off the lines of both walls, whose normals turn by so much; two at a tip."""
-    count = np.where(turn > _WIDEST, 2, 1)
+    """Return the disc's positions at corners, touching both walls; a sharp convex corner has two."""
+    count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
         angle, axis, half = (share * turn[there])[:, None], normal[there], (turn / 2 / count)[there, None]
@@ -126,118 +112,101 @@ def _places_at(
     return np.concatenate(points)
 
 
-class Journey(NamedTuple):
-    """One robot's ways from its start to its goal by way of corners.
-
-    Args:
-        roadmap: Where it may go.
-        start, goal: Its ends.
-        straight: What the straight way from start to goal costs, ``inf`` if it is not free.
-        out, home: Likewise of the straight ways from the start to each corner, and from there to the goal.
-        to_go: What the shortest ways from each corner to the goal cost.
-    """
+class Routes(NamedTuple):
+    """A robot's routes from its start to its goal through the corners of a roadmap; costs are ``inf`` if not free."""
 
     roadmap: CornerRoadmap
     start: complex
     goal: complex
-    straight: float
-    out: Float[np.ndarray, "corners"]
-    home: Float[np.ndarray, "corners"]
-    to_go: Float[np.ndarray, "corners"]
+    straight: float  # cost of the straight motion from start to goal
+    out: Float[np.ndarray, "corners"]  # cost of the straight motion from the start to each corner
+    home: Float[np.ndarray, "corners"]  # cost of the straight motion from each corner to the goal
+    to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
-    def way(self) -> Way | None:
-        """The shortest way from start to goal."""
+    def shortest(self) -> Route | None:
+        """Return the shortest route from start to goal, or None."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
-        return [self.start, *self.way_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
+        return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
-    def way_home(self, corner: int) -> Way:
-        """The shortest way from a corner to the goal."""
+    def route_home(self, corner: int) -> Route:
+        """Return the shortest route from a corner to the goal."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
-# One robot after the other.
-
-
 def sequential_path(problem: Problem) -> Path | None:
-    """A path on which one robot after the other goes straight from corner to corner, while the others stand.
+    """Return a path on which one robot after the other moves from corner to corner, or None.
 
-    Returns:
-        The path, in each row of which one robot has moved; None if none is found, or the team is not of up to 8 discs
-        without a heading, larger than the tolerance, among up to 48 walls.
+    Only teams of up to 8 discs, larger than the tolerance and without headings, among up to 48 walls have such paths.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
-    found: dict[int, Journey] = {}
+    found: dict[int, Routes] = {}
     for radius in {robot.rounding for robot in robots}:
         alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        journeys = _kept(workspace, radius).journeys(problem.starts[alike], problem.goals[alike])
-        found.update(zip(alike, journeys, strict=True))
-    journeys, reach = [found[i] for i in range(len(robots))], _reaches(problem)
-    ways = [way for journey in journeys if (way := journey.way())]
-    if len(ways) < len(robots):
+        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[alike], problem.goals[alike])
+        found.update(zip(alike, all_routes, strict=True))
+    all_routes, reach = [found[i] for i in range(len(robots))], _touch_distances(problem)
+    chosen = [route for routes in all_routes if (route := routes.shortest())]
+    if len(chosen) < len(robots):
         return None
-    # Where the robots stand, who waits, and who has stepped aside.
-    at = [journey.start for journey in journeys]
-    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]
+    at = [routes.start for routes in all_routes]
+    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]  # aside: robots that have stepped aside
 
-    def clears(i: int, way: Way, ignored: tuple[int, ...]) -> bool:
-        """Whether a way of a robot leads past the others where they stand, but for those ignored."""
-        return not any(_meets(way, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
+    def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
+        return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Whether a robot may go home: but for those ignored, nobody is in its way, and it will be in nobody's."""
+        """Return whether a robot can go to its goal and will block no waiting robot there."""
         others = [j for j in waiting if j not in ignored]
-        goal = journeys[i].goal
-        return clears(i, ways[i], ignored) and not any(_meets(ways[j], goal, reach[i][j]) for j in others)
+        goal = all_routes[i].goal
+        return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
 
-    def go(i: int, way: Way) -> None:
-        """Have a robot go a way, alone."""
-        for place in way[1:]:
+    def go(i: int, route: Route) -> None:
+        for place in route[1:]:
             if place != at[i]:
                 at[i] = place
                 rows.append(at.copy())
 
     def make_way(i: int, j: int) -> bool:
-        """Have a robot step aside into a corner, once, and another go home past it; whether they can."""
+        """Let robot ``i`` step aside into a corner, and ``j`` go to its goal past it; return whether both can."""
         if i in aside or not is_ready(j, i, j):
             return False
-        journey = journeys[i]
-        # What the shortest ways from start to goal by way of each corner cost.
-        detours = (journey.out + journey.roadmap.cost).min(axis=1, initial=np.inf) + journey.to_go
+        routes = all_routes[i]
+        # Costs of the shortest routes from start to goal through each corner.
+        detours = (routes.out + routes.roadmap.cost).min(axis=1, initial=np.inf) + routes.to_go
         for corner in np.argsort(detours, kind="stable").tolist():
             if detours[corner] == np.inf:
                 break
-            if _meets(ways[j], journey.roadmap.places[corner], reach[i][j]):
+            if _comes_within(chosen[j], routes.roadmap.places[corner], reach[i][j]):
                 continue
-            first = int((journey.out + journey.roadmap.cost[corner]).argmin())
-            out, home = [journey.start, *journey.roadmap.between(first, corner)], journey.way_home(corner)
-            if clears(i, out, (i,)) and not _meets(home, journeys[j].goal, reach[i][j]):
+            first = int((routes.out + routes.roadmap.cost[corner]).argmin())
+            out, home = [routes.start, *routes.roadmap.between(first, corner)], routes.route_home(corner)
+            if clears(i, out, (i,)) and not _comes_within(home, all_routes[j].goal, reach[i][j]):
                 go(i, out)
                 aside.add(i)
-                ways[i] = home
-                go(j, ways[j])
+                chosen[i] = home
+                go(j, chosen[j])
                 waiting.remove(j)
                 return True
         return False
 
-    # Have robots go home that are in nobody's way, and make way where there is none, until all are there.
+    # Move robots that are ready to their goals. If none is ready, let one make way for another.
     while waiting:
         ready = next((i for i in waiting if is_ready(i, i)), None)
         if ready is not None:
-            go(ready, ways[ready])
+            go(ready, chosen[ready])
             waiting.remove(ready)
         elif not any(make_way(i, j) for i, j in permutations(waiting, 2)):
             return None
     return np.array(rows)[..., None].view(np.float64)
 
 
-def _meets(way: Way, place: complex, reach: float) -> bool:
-    """Whether a way leads nearer to a place than a distance."""
-    for begin, end in pairwise(way):
+def _comes_within(route: Route, place: complex, reach: float) -> bool:
+    for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2
         share = (offset * rate.conjugate()).real / squared if squared > 0 else 0.0
@@ -246,40 +215,36 @@ def _meets(way: Way, place: complex, reach: float) -> bool:
     return False
 
 
-def _reaches(problem: Problem) -> Reaches:
-    """Distances at which two robots touch; no rounding error decides whether they collide."""
+def _touch_distances(problem: Problem) -> TouchDistances:
+    """Return the center distances below which two robots collide, less half the tolerance for rounding."""
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 
 
-# The same motions at other times.
-
-
-def side_by_side(problem: Problem, path: Path) -> Retimed:
-    """A path of :func:`sequential_path` whose robots set out as soon as they meet none that set out before them.
-
-    Nobody goes another way, so that the path costs as much, and takes no longer.
-    """
+def with_early_departures(problem: Problem, path: Path) -> Retimed:
+    """Return a sequential path in which robots depart as early as possible; routes and cost stay the same."""
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
-    reach = np.array(_reaches(problem))[first_of, second_of]
-    times, ways = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
+    reach = np.array(_touch_distances(problem))[first_of, second_of]
+    times, routes = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
     result, row = path[:1], 0
     for i, motions in groupby(mover.tolist()):
-        way = path[row : row + len(list(motions)) + 1, i]
-        row += len(way) - 1
-        since = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
-        earlier, before = times[i], ways[i]
-        ways[i] = np.concatenate([before, way])
-        # At the last one, all others stand where they stood when the path was found.
+        route = path[row : row + len(list(motions)) + 1, i]
+        row += len(route) - 1
+        since = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+        earlier, before = times[i], routes[i]
+        routes[i] = np.concatenate([before, route])
+        # Departure at the last time is always free: all others then stand as in the given path.
         first, last = earlier[-1], max(arrival[-1] for arrival in times)
         num_early = int(min(_DEPARTURES, np.ceil((last - first) / reach.min(initial=np.inf))))
         for depart in [*np.linspace(first, last, num_early, endpoint=False).tolist(), last]:
             times[i] = np.append(earlier, depart + since)
-            # All robots on their ways, with a row wherever one of them turns, sets out or arrives.
+            # Rows for all robots, at each time when one of them turns, departs or arrives.
             when = np.unique(np.concatenate(times))
-            columns = [np.interp(when, at, way[:, k]) for at, way in zip(times, ways, strict=True) for k in (0, 1)]
+            columns = [
+                np.interp(when, at, route[:, k]) for at, route in zip(times, routes, strict=True) for k in (0, 1)
+            ]
             result = np.stack(columns, axis=1).reshape(len(when), num, 2)
             x, y = np.moveaxis(result[:, first_of] - result[:, second_of], 2, 0)
             gaps = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))

@@ -1,10 +1,10 @@
-"""Paths made cheaper off the lattices, robot by robot while the others keep their motions.
+"""Reduction of a path's cost off the lattices, robot by robot, while the other robots keep their motions.
 
-By the best set of straight shortcuts of each, and within narrow corridors about what robots do.
-
-A shortcut collides in many of the path's motions or in none, as a rule. So a few motions far from one another are
-tested first, and the rest of them where these are free. A robot that gained nothing is left alone until one that
-stood in its way has moved.
+:func:`shorten` replaces motions by straight shortcuts. A shortcut usually collides in many motions of the path or in
+none, so a few motions far apart are tested first. A robot that gained nothing is retried only after a robot that
+blocked it has moved. :func:`shorten_in_corridors` lets robots deviate to a small pattern of configurations around
+each row; dynamic programming over the rows finds the cheapest collision-free sequence. Two robots that touch move
+together, as neither gains by making way alone. Neither function changes the number of rows or raises the cost.
 """
 
 from collections.abc import Iterator
@@ -22,59 +22,57 @@ from plr_jax.collision.team import Circles, JointMotionTest, TeamTrajectory, cir
 from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
-
-# Shortcuts.
-
 Rows = Int[np.ndarray, "m"]
-
-_LONGEST = 32  # steps that one shortcut spans at most
-_STRIDES = (16, 4, 1)  # between motions that are tested one batch after the other
-_LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
-_LEAST_ROUND_GAIN = 1e-3  # share of the cost below which another round is not worth its time
+Corridor = Float[np.ndarray, "steps _ dof"]  # robots of different kinds have patterns of different sizes
+Costs = Float[np.ndarray, "motions size size"]
+CostsOfRobot = Float[np.ndarray, "motions _ _"]
+Robots = tuple[int, ...]
+_LONGEST = 32  # most steps that a shortcut spans
+_STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
+_LEAST_SAVING = 1e-4  # least share of the cost that a shortcut must save
+_LEAST_ROUND_GAIN = 1e-3  # rounds stop if one saves a smaller share of the cost
+_STRAIGHT = 1e-9  # motions longer than a straight line by at most this share are not shortened
+_CORRIDOR_GAIN = 3e-3  # corridors are narrowed if a round saves a smaller share of the cost
+_NARROWINGS = 3
+_REACH = 4  # two robots touch if their circumscribed discs are closer than this many corridor widths
+_MARGIN = 3  # rows added before and after the rows in which two robots touch
+_ROUNDING = 1e-9
+_PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
-    """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
-
-    The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
-    of the test.
-    """
-    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
-    hopeful = np.ones(len(test.robots), dtype=bool)
-    in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
-    # First and last rows of the motions and of all that may be a shortcut.
+    """Replace motions by shortcuts until a round gains little, or the deadline of the test passes."""
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
+    may_gain = np.ones(len(test.robots), dtype=bool)
+    in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # [i, j]: robot j blocked a shortcut of i
     begin, place = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
-    end, gains = begin + 1 + place, True
+    end, gains = begin + 1 + place, True  # begin and end: rows of all motions and possible shortcuts
     with suppress(TimeoutError):
         while gains:
-            for i in range(len(hopeful)):
-                if not hopeful[i]:
+            for i in range(len(may_gain)):
+                if not may_gain[i]:
                     continue
-                rows, in_way[i] = _with_shortcuts(problem, traffic, i, test, begin, end)
-                hopeful[i] = len(rows) < len(path)
-                if hopeful[i]:
-                    q, before = traffic.path[:, i].copy(), traffic.path[:, i]
-                    for first, last in pairwise(rows):  # at constant speed; the rows themselves stay as they are
+                rows, in_way[i] = _with_shortcuts(problem, trajectory, i, test, begin, end)
+                may_gain[i] = len(rows) < len(path)
+                if may_gain[i]:
+                    q, before = trajectory.path[:, i].copy(), trajectory.path[:, i]
+                    for first, last in pairwise(rows):  # at constant speed, between rows that stay fixed
                         share = np.arange(1, last - first)[:, None] / (last - first)
                         q[first + 1 : last] = between(before[first], before[last], share)
-                    traffic.move(i, q)
-                    hopeful |= in_way[:, i]
-            before, cost = cost, path_cost(problem, traffic.path)
+                    trajectory.move(i, q)
+                    may_gain |= in_way[:, i]
+            before, cost = cost, path_cost(problem, trajectory.path)
             gains = before - cost > _LEAST_ROUND_GAIN * before
-    return traffic.path
+    return trajectory.path
 
 
 def _with_shortcuts(
-    problem: Problem, traffic: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
+    problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
-
-    ``TimeoutError`` past the deadline of the test.
-    """
-    # 1. Shortcuts that save something and hit no wall. One from or to a contact of walls may lead to the other side,
-    # except at the ends of the path.
-    q, own = traffic.path[:, i], end == begin + 1
-    at_contact = test.of_walls[i].is_at_contact(q)
+    """Return the rows on a robot's cheapest route of shortcuts, and the robots that blocked shortcuts."""
+    # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
+    q, own = trajectory.path[:, i], end == begin + 1
+    at_contact = test.wall_tests[i].is_at_contact(q)
     at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
@@ -82,8 +80,8 @@ def _with_shortcuts(
     useful &= own | ~(at_contact[begin] | at_contact[end])
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
-    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
-    # 2. Those that keep clear of the other robots, each cut into its pieces in the motions of the path.
+    shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
+    # 2. Exclude shortcuts that hit another robot. Each is cut at the rows of the path.
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
     owner, step = ragged_indices(until - since)
@@ -95,10 +93,10 @@ def _with_shortcuts(
         edge = owner[now]
         q0, q1, count = q[since[edge]], q[until[edge]], (until - since)[edge, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None] / count) for ahead in (0, 1))
-        piece, other = traffic.near(i, circles(first[:, None], last[:, None]), motion[now])
-        meet = test.meet(i, first[piece], last[piece], traffic, motion[now[piece]], other)
+        piece, other = trajectory.robots_near(i, circles(first[:, None], last[:, None]), motion[now])
+        meet = test.meet(i, first[piece], last[piece], trajectory, motion[now[piece]], other)
         apart[edge[piece[meet]]], in_way[other[meet]] = False, True
-    # 3. The cheapest way along what is left. An entry of 0 is an edge of no cost.
+    # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     own[shortcuts[apart]] = True
     graph = csr_array((cost[own], (begin[own], end[own])), shape=(len(q), len(q)))
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
@@ -108,59 +106,30 @@ def _with_shortcuts(
     return rows[::-1], in_way
 
 
-# Shorten a path within corridors: the cheapest motions of one robot, or of two at a time, close about theirs.
-#
-# At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
-# sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
-# motions. Two robots that touch have to move together: neither gains by making way alone. Where the corridors stop
-# gaining, they are made narrower.
-
-
-Corridor = Float[np.ndarray, "steps _ dof"]  # robots of several kinds have patterns of several sizes
-Costs = Float[np.ndarray, "motions size size"]
-OfOne = Float[np.ndarray, "motions _ _"]
-Robots = tuple[int, ...]
-
-_STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
-_CORRIDOR_GAIN = 3e-3  # share of the cost below which the corridors are narrowed
-_NARROWINGS = 3
-_REACH = 4  # widths of a corridor within which two robots count as touching
-_MARGIN = 3  # rows before and after those in which they do
-_ROUNDING = 1e-9
-_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
-
-
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
-
-    The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
-    and is never costlier. It ends early at the deadline of the test.
-    """
-    traffic, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
+    """Replace motions of each robot, and of touching pairs, by the cheapest ones in corridors of falling width."""
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
         while width > narrowest:
-            for robots, rows in _groups(problem, traffic.path, width):
-                own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
+            for robots, rows in _corridor_groups(problem, trajectory.path, width):
+                own, weights = trajectory.path[rows, robots], problem.rotation_weights[list(robots)]
                 least = straight_costs(own[0], own[-1], weights).sum()
                 if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
-                    continue  # they go straight: there is nothing to gain
-                found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+                    continue  # straight motions have nothing to gain
+                found = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
                 for i, q in zip(robots, found, strict=True):
-                    if (q != traffic.path[rows, i]).any():
-                        traffic.move(i, q, rows)
+                    if (q != trajectory.path[rows, i]).any():
+                        trajectory.move(i, q, rows)
             diagonal = not diagonal
-            before, cost = cost, path_cost(problem, traffic.path)
+            before, cost = cost, path_cost(problem, trajectory.path)
             if before - cost <= _CORRIDOR_GAIN * before:
-                width /= 2
-    return traffic.path
+                width /= 2  # narrow the corridors
+    return trajectory.path
 
 
-def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """What is shortened together: every robot alone, and each two in the rows in which they touch.
-
-    The path may change between one and the next.
-    """
+def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
+    """Yield robots and rows to shorten together: each robot, and each two robots in the rows where they touch."""
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -168,57 +137,52 @@ def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots
             j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
             rows, before = np.flatnonzero(touch[:, j]), path[:, i].copy()
             yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
-            if (path[:, i] != before).any():
+            if (path[:, i] != before).any():  # changed by the caller
                 touch = _touching(problem, path, i, width)
 
 
 def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
-    """In which rows robot ``i`` touches each of those before it."""
+    """Return in which rows robot ``i`` touches each of the robots before it."""
     size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
     offset = path[:, :i, :2] - path[:, i, None, :2]
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
 
 
-def _shortened(
+def _shortened_in_corridors(
     problem: Problem,
-    traffic: TeamTrajectory,
+    trajectory: TeamTrajectory,
     rows: slice,
     robots: Robots,
     test: JointMotionTest,
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """The robots' cheapest motions within their corridors in some rows, both ends as they are.
-
-    Only motions are tested that may be part of something cheaper than what the robots do. ``TimeoutError`` past the
-    deadline of the test.
-    """
+    """Return the robots' cheapest motions within their corridors in some rows, with both ends fixed."""
     require_time(test.deadline, "all corridors were searched")
-    path, motion = traffic.path[rows], np.arange(rows.start, rows.stop - 1)
+    path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(own) for own in corridors]
     own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
-    through = [_least_through(cost) for cost in costs]
+    through = [_least_cost_through(cost) for cost in costs]
     least = [float(cost[0].min()) for cost in through]
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
     for i, corridor, reached, cost, total, alone in zip(
         robots, corridors, around, costs, through, least, strict=True
     ):
-        # The motions that the robot makes keep their cost. Others must be hopeful, and hit no wall and no other robot
-        # but those that are shortened with it.
-        own, hopeful = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
-        cost[~hopeful] = np.inf
-        row, first, last = np.nonzero(hopeful)
-        tight = ~test.of_walls[i].has_room(*reached)[row]
+        # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
+        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
+        cost[~may_gain] = np.inf
+        row, first, last = np.nonzero(may_gain)
+        tight = ~test.wall_tests[i].has_room(*reached)[row]
         begin, end = corridor[row, first], corridor[row + 1, last]
-        at_contact = test.of_walls[i].is_at_contact(corridor)
+        at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         tight &= free
-        free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
-        near, other = traffic.near(i, reached, motion, robots)
+        free[tight] = test.wall_tests[i](begin[tight], end[tight], test.deadline)
+        near, other = trajectory.robots_near(i, reached, motion, robots)
         tested, pair = take_ragged(np.searchsorted(row, np.arange(len(motion) + 1)), near)
-        free[tested[test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])]] = False
+        free[tested[test.meet(i, begin[tested], end[tested], trajectory, motion[near[pair]], other[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
         cost[:, 0, 0] = own
     cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
@@ -227,31 +191,31 @@ def _shortened(
 
 
 def _joint_costs(
-    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[OfOne], test: JointMotionTest
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[CostsOfRobot], test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Costs from each two of two robots' places to each two, ``inf`` where they collide with one another."""
+    """Return the costs of motions of two robots, by their places before and after; ``inf`` where they collide."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
     cost = cost.reshape(-1, size, size)
     own = cost[:, 0, 0].copy()
-    hopeful = _least_through(cost) < (1 - _ROUNDING) * own.sum()
+    may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * own.sum()
     near = np.zeros(len(cost), dtype=bool)
     near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
-    tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+    tested = np.nonzero((may_gain & near[:, None, None]).reshape(shape))
     row, a_first, b_first, a_last, b_last = tested
     apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
-    cost[~hopeful] = np.inf
+    cost[~may_gain] = np.inf
     cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
     cost[:, 0, 0] = own
     return cost
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Configurations about each row, the row itself first; at both ends nothing else."""
+    """Return the configurations around each row, the row itself first; only the row itself at both ends."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
-    offsets = np.zeros((len(_FIVE), q.shape[1]))
-    offsets[:, :2] = width * _FIVE @ axes
+    offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
+    offsets[:, :2] = width * _PLUS_PATTERN @ axes
     if problem.robots[i].dof == 3:
         turn = width / problem.robots[i].circumscribed_radius
         offsets = np.concatenate([offsets, [(0, 0, turn), (0, 0, -turn)]])
@@ -260,9 +224,9 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
     return corridor
 
 
-def _least_through(cost: Costs) -> Costs:
-    """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
-    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
+def _least_cost_through(cost: Costs) -> Costs:
+    """Return, for each motion, the cost of the cheapest sequence from place 0 to place 0 that contains it."""
+    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
     for motion in range(len(cost) - 1):
@@ -271,7 +235,7 @@ def _least_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Places of the cheapest sequence of motions, from place 0 to place 0."""
+    """Return the places of the cheapest sequence of motions from place 0 to place 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

@@ -1,7 +1,7 @@
-"""A team's motions row by row, each row as long as any other, and one robot planned among the others through time.
+"""Planning of one robot among the others through time, on a timetable whose rows all take the same time.
 
-A robot may set out at any row, along the motions of its lattice or straight, at unit speed: a motion takes as many
-rows as it needs at that speed. So robots need not move in step with one another, as they do in the other searches.
+A robot may depart at any row, along a lattice motion or straight, at unit speed. A motion takes as many rows as it
+needs at that speed, so robots do not move in step as in the other searches (Silver, "Cooperative pathfinding", 2005).
 """
 
 import heapq
@@ -15,13 +15,15 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
-from plr_jax.planners.lattice import Lattice, motions_of
+from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots.robot import between
 
-# Where each robot is at each row, and whether another motion fits in between.
-
+ROWS_PER_STEP = 2.8  # a step of the lattice takes 3 rows and a diagonal one 4, close to unit speed
+_WAIT = 3  # rows of a wait; each node is reached at most once in so many rows
+_BATCH = 16  # states expanded at once
+_ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room for another to pass
+_AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
-
 Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, "meetings"], Int[np.ndarray, "meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
@@ -31,20 +33,10 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """The motions of a team, row by row, in which those of one robot at a time are exchanged.
+    """The configurations of a team row by row; the motions of one robot at a time can be replaced.
 
-    After the last row all robots stay where they are.
-
-    Args:
-        problem: The robots, and where they move.
-        path: Their configurations, row by row.
-        patience: Rows for which a robot whose motion has ended is in the way of others; after them, it is expected to
-            have moved on. ``inf``: it rests for good.
-        deadline: On the clock of ``time.perf_counter``; tests that pass it raise ``TimeoutError``.
-
-    Attributes:
-        ends: The row at which each robot's motion ends.
-        absent: Robots that are in nobody's way, as their motions are yet to be found.
+    All robots rest after the last row. A robot at rest blocks others for ``patience`` more rows: then it is expected
+    to leave.
     """
 
     def __init__(
@@ -53,32 +45,32 @@ class Timetable:
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
-        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
-        self.absent: set[int] = set()
+        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)  # last row of each motion
+        self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
-        self._traffic = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
+        self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
-        """The configurations, row by row, to the one from which on all stay where they are."""
-        return self._traffic.path[: int(self.ends.max()) + 1]
+        """Configurations row by row, up to the row from which on all robots rest."""
+        return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Have a robot make other motions, of any number of rows, and be in the way of others again."""
+        """Replace a robot's motion by one of any number of rows, and stop ignoring the robot."""
         if len(q) > self._last + 1:
-            more = np.repeat(self._traffic.path[-1:], len(q) - self._last - 1, axis=0)
-            self._last, path = len(q) - 1, np.concatenate([self._traffic.path, more])
-            self._traffic = TeamTrajectory(self.problem.robots, path)
-        whole = self._traffic.path[:, i].copy()  # a heading that the robot has not stays as it is
+            more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
+            self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
+            self._trajectory = TeamTrajectory(self.problem.robots, path)
+        whole = self._trajectory.path[:, i].copy()  # keeps the heading of a robot without one
         whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
-        self._traffic.move(i, whole)
+        self._trajectory.move(i, whole)
         self.ends[i] = len(q) - 1
-        self.absent.discard(i)
+        self.ignored.discard(i)
 
-    def fits(
+    def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Whether straight motions of one robot, from some rows on for so many rows, keep clear of the others."""
+        """Return whether straight motions of a robot, over ``count`` rows from ``row`` on, meet no other robot."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -88,108 +80,81 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """When others meet a robot that makes a motion and stays where it ends, row by row, and who."""
+        """Return the rows in which others meet a robot that makes a motion and then rests, and these robots."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def free_from(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """For each row the first from there on at which a robot may stay somewhere for so many rows, ``inf`` if none.
-
-        What the last row says holds after it as well.
-        """
-        # Nobody rests there for longer than its patience.
+    def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
+        """Return, for each row, the first row from it on where a robot may rest for ``rest`` rows, or ``inf``."""
+        # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
+        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]  # last: later rows too
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        """Motions of one robot, each in the row given, that meet others, and whom."""
+        """Return the motions of one robot, each in its row, that meet other robots, and these robots."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
-        piece, other = self._traffic.near(i, around, motion, list(self.absent))
+        piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
         piece, other = piece[there], other[there]
-        meet = self.test.meet(i, first[piece], last[piece], self._traffic, motion[piece], other)
+        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, motion[piece], other)
         return piece[meet], other[meet]
 
 
-def in_rows(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
-    """A path with rows added, none of which takes longer than a length."""
-    count = np.maximum(_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
+def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
+    """Subdivide the motions of a path so that none takes longer than ``length``."""
+    count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
     finer[step == 0] = path[:-1]
     return np.concatenate([finer, path[-1:]])
 
 
-def _rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
-    """How many rows of a length motions of some costs take."""
+def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
+    """Return the number of rows of a length that motions of some costs take."""
     return np.ceil(cost / length - _ROUNDING)
 
 
-# One robot planned among the others: A* over nodes and rows, then straight ways.
-#
-# References:
-#     Silver, "Cooperative pathfinding", 2005.
-
-
-ROWS_PER_STEP = 2.8  # of a lattice: a step takes 3 rows, a diagonal one 4, hardly more than at unit speed
-_WAIT = 3  # rows of a wait; a node is reached once in as many rows
-_BATCH = 16  # states expanded at once
-_ROOM = 4  # radii from walls at which a robot that rests leaves room for another to pass, and to spare
-_AHEAD = 32  # waypoints that a straight way leaves out at most
-
-
 def plan_through_time(
-    timetable: Timetable, i: int, step: float, rest: float | int, most: int
+    timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
 ) -> tuple[Motion | None, bool]:
-    """The motion that brings a robot to its goal soonest among the others, and whether it does.
+    """Plan the motion that brings a robot to its goal soonest among the others, by A* over nodes and rows.
 
-    Where the search grows too large, or finds no way, it leads but part of the way: to where the robot may rest that
-    is nearest to the goal of all places that were reached.
+    A row takes ``step / ROWS_PER_STEP`` in units of cost. Where the motion ends, the robot must be free to rest for
+    ``rest`` rows, or forever if this is ``inf``. If the search finds no path within ``max_states`` states, the motion
+    ends at the reached place nearest to the goal where the robot may rest.
 
-    Args:
-        timetable: The others. Where the robot stands there is row 0.
-        i: The robot.
-        step: Of its lattice. A row takes it by so much over :data:`ROWS_PER_STEP`, in units of cost.
-        rest: Rows for which it has to be free to stay where it ends, ``inf`` for good.
-        most: States to be expanded before it goes but part of its way.
-
-    Returns:
-        Its configurations row by row, None if there is no place where it may rest; and whether the last is its goal.
-
-    Raises:
-        TimeoutError: If the deadline of the timetable's tests passes first.
+    Return the configurations row by row, or None if the robot may rest nowhere, and whether it reaches its goal.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
-    # 1. Rows that each motion takes, and from each node to the goal if the robot is alone.
+    # 1. Find the rows that each motion takes, and the rows from each node to the goal if the robot is alone.
     start, goal = timetable.path[:1, i, : robot.dof], problem.goals[[i], : robot.dof]
-    motions = motions_of(problem.workspace, robot, weight, step, deadline)
-    lattice = Lattice(motions.with_ends(robot, np.zeros(1, int), start, goal), 0)
-    child, duration, q = lattice.child, _rows(lattice.cost, length), lattice.q
+    motions = cell_grid(problem.workspace, robot, weight, step, deadline)
+    lattice = Lattice(motions.with_terminals(robot, np.zeros(1, int), start, goal), 0)
+    child, duration, q = lattice.child, _num_rows(lattice.cost, length), lattice.q
     leads = np.isfinite(duration)
     first = np.append(0, np.cumsum(leads.sum(axis=1)))
     graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    free = timetable.free_from(i, q[lattice.goal], rest)
+    free = timetable.next_free_rows(i, q[lattice.goal], rest)
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """The row at which the goal may be reached at best."""
         there = row + to_go[node]
         return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
 
-    # 2. A* over nodes and rows.
+    # 2. Search nodes and rows by A*.
     nodes, rows, parents = [lattice.start], [0], [-1]
     waiting = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
     if lattice.start == lattice.goal and free[0] == 0:
         best, arrived = 0, 0
-    while waiting and waiting[0][0] < best and num_expanded < most:
+    while waiting and waiting[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
         some = [heapq.heappop(waiting)[2] for _ in range(min(len(waiting), _BATCH))]
         num_expanded += len(some)
@@ -202,7 +167,7 @@ def plan_through_time(
         keys = list(zip(end.tolist(), (when // _WAIT).tolist(), strict=True))
         new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=int)
         first, since = begin[place[new]], row[place[new]]
-        for n in new[timetable.fits(i, q[first], q[end[new]], since, when[new] - since)].tolist():
+        for n in new[timetable.are_free(i, q[first], q[end[new]], since, when[new] - since)].tolist():
             if keys[n] not in known:
                 known.add(keys[n])
                 if end[n] == lattice.goal and at_best[n] == when[n]:
@@ -210,8 +175,7 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    # 3. Where the robot does not arrive: the state nearest to the goal at which it may rest, away from walls if it
-    # can, as others have to pass.
+    # 3. Else find a state near the goal where it may rest, preferably away from walls, so that others can pass.
     found = arrived if arrived >= 0 else None
     at, when = np.array(nodes), np.array(rows)
     if found is None:
@@ -220,7 +184,7 @@ def plan_through_time(
         for begin in range(0, len(order), _BATCH):
             some = order[begin : begin + _BATCH]
             count = np.full(len(some), int(min(rest, len(timetable.path))))
-            may_rest = timetable.fits(i, q[at[some]], q[at[some]], when[some], count)
+            may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
             if may_rest.any():
                 found = int(some[may_rest.argmax()])
                 break
@@ -234,28 +198,25 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """The motion along some waypoints, reached at some rows, that goes straight and sets out early where it may.
-
-    A waypoint is reached no later than it was, and the robot may wait there until then.
-    """
-    walls, deadline = timetable.test.of_walls[i], timetable.test.deadline
+    """Replace timed waypoints by straight motions as early as possible; no waypoint is reached later than before."""
+    walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:
         ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
         begin = np.repeat(q[[at]], len(ahead), axis=0)
-        count = _rows(straight_costs(begin, q[ahead], weight), length).astype(int)
+        count = _num_rows(straight_costs(begin, q[ahead], weight), length).astype(int)
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]
         since = np.full(len(ahead), now)
-        fits = timetable.fits(i, begin, q[ahead], since, count)
-        fits &= timetable.fits(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
+        fits = timetable.are_free(i, begin, q[ahead], since, count)
+        fits &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
         if fits.any():
             farthest = np.flatnonzero(fits)[-1]
             at, steps = int(ahead[farthest]), int(count[farthest])
             motion.append(between(motion[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
-                motion[-1][-1] = q[at]  # to the last bit
+                motion[-1][-1] = q[at]  # without rounding
             now += steps
         else:
             wait = min(_WAIT, int(row[at]) - now)

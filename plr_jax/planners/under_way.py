@@ -1,4 +1,4 @@
-"""Teams that are under way: planned from where everybody is, or as goals keep coming."""
+"""Replanning of moving teams: after a change (:func:`replan`), or as new goals arrive (:func:`lifelong`)."""
 
 import math
 import time
@@ -19,19 +19,24 @@ from plr_jax.planners._solution import (
     Solution,
     Stats,
     Status,
-    require_task,
-    solution_of,
+    make_solution,
+    require_problem_and_options,
     straight_line_bound,
 )
 from plr_jax.planners.driver import bl_plan, first_step
-from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, in_rows, plan_through_time
+from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
+Goals: TypeAlias = Float[np.ndarray, "robots dof"]
+NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
+Planner: TypeAlias = Callable[[Problem], Solution]
 _DEFAULT_OPTIONS = BLOptions()
-
-# As few robots anew as may be.
-
-_MOST_STATES = 20_000  # expanded for one robot
-_ATTEMPTS = 3  # times as many robots are planned at most as the team has, or as wait, before all start from nothing
+_MOST_STATES = 20_000  # most states expanded for one robot
+_ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
+_WINDOW = 15  # rows after which waiting robots are replanned at the latest
+_PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, blocks others
+_FEW_STATES = 600  # most states expanded for one robot of a lifelong run, which otherwise goes only part of its way
+_LATE = 10  # rows later than on a straight line, above which a robot is replanned
+_MOST_IDLE = 20  # windows in a row without any robot bound for its goal, after which the whole team is planned
 
 
 def replan(
@@ -41,41 +46,40 @@ def replan(
     options: BLOptions = _DEFAULT_OPTIONS,
     standing: Sequence[int] = (),
 ) -> Solution:
-    """Plan a team that is under way: robots keep what was planned for them, as far as it still leads to their goals.
+    """Replan a moving team after a change; robots whose motions still lead to their goals keep them.
 
-    For when a few goals or a few walls have changed, or robots have broken down. A robot is planned anew if its
-    motion does not end at its goal, hits an obstacle, or meets a robot that stands: by itself, through time, among
-    the others, to be at its goal soonest. One that finds no way goes as if it were alone, and those whom it meets are
-    planned anew in their turn. If that goes on for too long, :func:`bl_plan` plans all from nothing.
+    Use it when a few goals or walls have changed, or when robots have broken down::
 
-    Paths are for robots at unit speed, that need not move in step with one another. The lattices of a workspace are
-    kept from call to call, as those of :func:`bl_plan`.
+        problem = Problem(workspace, robots, solution.path_at(time), new_goals)
+        solution = replan(problem, solution, time)
+
+    A robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. It is
+    planned through time among the others. If it finds no path, it moves as if it were alone, and the robots that it
+    meets are replanned in turn. If too many robots need replanning, :func:`bl_plan` plans the whole team.
 
     Args:
-        problem: What is to be done from now on: the workspace as it is now, the goals, and as starts the joint
-            configuration of the solution at the time, ``solution.path_at(at)``.
-        solution: What the team was doing, of any planner: a path for the same robots.
-        at: The time since the path of the solution began, at least 0; past its makespan, all robots are at its end.
-        options: ``step`` and the limit on time, which holds again for what is planned from nothing, under all
-            options.
-        standing: Robots that do not move from now on. Their goals must be their starts. Others whose goals are their
-            starts may make way and come back. Where some stand, nothing is planned from nothing.
+        problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
+        solution: The current motion of the same robots, from any planner.
+        at: The time since the start of the solution's path, at least 0; after its makespan, all robots are at its
+            end.
+        options: ``step`` and ``time_limit`` apply. If :func:`bl_plan` plans the whole team, all options apply, and
+            the time limit starts again.
+        standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
+            and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 
     Returns:
-        The solution from here on. Its status is EXHAUSTED if no path was found beside robots that stand, TIME_LIMIT
-        if the limit was reached before.
+        The solution from now on, for robots at unit speed that do not move in step. Its status is EXHAUSTED if no
+        path was found beside standing robots, TIME_LIMIT if the limit was reached, or INTERRUPTED.
 
     Raises:
-        ValueError: If the solution has no path or is for other robots, the starts are not where it has the robots at
-            that time, to the tolerance of the workspace, the time is negative or not finite, or robots that stand are
-            none of the team or have goals elsewhere.
+        ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
+            more than the workspace's tolerance, the time is negative or not finite, or ``standing`` is invalid.
 
-    References:
-        Silver, "Cooperative pathfinding", 2005.
+    References: Silver, "Cooperative pathfinding", 2005.
     """
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     began, num_robots = time.perf_counter(), len(problem.robots)
-    # 1. The robots that stand, whose goals are where they start.
+    # 1. Check the standing robots.
     expected = f"standing must be indices of the {num_robots} robots"
     if not isinstance(standing, Iterable):
         raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
@@ -88,22 +92,24 @@ def replan(
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
             raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
     fixed = {*robots}
-    # 2. What is left of the path at that time.
+    # 2. Find the rest of the path at that time.
     if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
         raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
     if solution.path.shape[1:] != problem.starts.shape:
         expected = f"the problem's robots, of shape {problem.starts.shape}"
         raise ValueError(f"solution must be one for {expected}, got a path for {solution.path.shape[1:]}.")
-    as_number("at", at, "a time of at least 0", lambda time: 0 <= time < math.inf)
+    as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < math.inf)
     apart = motion_costs(problem, solution.path_at(at), problem.starts)
     if (apart > problem.workspace.tolerance).any():
         i = int(apart.argmax())
         where = f"where the solution has the robots then, solution.path_at({at:g})"
         raise ValueError(f"starts must be {where}: robot {i} is {apart[i]:.3g} away from there.")
     rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
-    # 3. Plan those anew whose motions do not lead to their goals any more.
+    # 3. Replan robots whose motions no longer lead to their goals.
     step = options.step or first_step(problem)
-    timetable = Timetable(problem, in_rows(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit)
+    timetable = Timetable(
+        problem, subdivided(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit
+    )
     try:
         status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED
     except TimeoutError:
@@ -114,24 +120,24 @@ def replan(
         return bl_plan(problem, options=options)
     found = timetable.path if status is Status.SOLVED else None
     stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
-    return solution_of(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
+    return make_solution(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Plan those anew whose motions do not lead to their goals any more; whether all have one that does."""
+    """Replan robots until all motions lead to their goals; return whether that succeeds."""
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
         dof, q = problem.robots[i].dof, timetable.path[:, i]
         is_there = (q[-1, :dof] == problem.goals[i, :dof]).all()
-        if not is_there or not test.of_walls[i](q[:-1], q[1:], test.deadline).all():
+        if not is_there or not test.wall_tests[i](q[:-1], q[1:], test.deadline).all():
             todo.append(i)
-    timetable.absent.update(todo)
+    timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
-        """Plan robots anew whose motions meet one; until then they are in nobody's way."""
+        """Queue the robots that meet a motion for replanning; until then they block nobody."""
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
-        timetable.absent.update(others)
+        timetable.ignored.update(others)
         todo.extend(others)
 
     for i in fixed:
@@ -144,9 +150,9 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         i = todo.pop(0)
         motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
         if motion is None or not arrives:
-            others, timetable.absent = timetable.absent, {*range(num_robots)} - fixed
+            others, timetable.ignored = timetable.ignored, {*range(num_robots)} - fixed
             motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
-            timetable.absent = others
+            timetable.ignored = others
             if motion is None or not arrives:
                 return False
             make_way(i, motion)
@@ -154,35 +160,21 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     return False
 
 
-# Robots that arrive get their next goals while the others go on.
-
-Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
-Planner: TypeAlias = Callable[[Problem], Solution]
-
-_WINDOW = 15  # rows after which robots that wait are planned again at the latest
-_PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, is in the way of others
-_FEW_STATES = 600  # expanded for one robot, which else goes but part of its way for now
-_LATE = 10  # rows that a robot may be later than on a straight way, before it is planned again
-_MOST_IDLE = 20  # windows in a row in which nobody is on its way to its goal, likewise
-
-
 @dataclass(frozen=True, eq=False)
 class LifelongRun:
-    """What a team did while goals kept coming.
+    """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: From where the robots began to where they are in the end: ``validate(run.problem, run.path)`` checks
-            all that they did.
-        path: Joint configurations ``(rows, robots, dof)``, as those of a solution.
-        times: When the path reaches its rows, ``(rows,)``, from 0 on.
-        robots: Who served each goal, in the order in which they were served, ``(goals,)``.
-        goals: These goals, ``(goals, dof)``.
-        rows: The rows of the path at which they were reached, ``(goals,)``.
+        problem: From the first starts to the last configurations: ``validate(run.problem, run.path)`` checks all
+            motions.
+        path: Joint configurations ``(rows, robots, dof)``, as in a solution.
+        times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
+        robots: The robot that served each goal, in the order of service, ``(goals,)``.
+        goals: The served goals, ``(goals, dof)``.
+        rows: The row of the path at which each goal was reached, ``(goals,)``.
         seconds: CPU seconds of each replanning, ``(replans,)``.
-        num_from_nothing: How often the whole team was planned from nothing, the first time among them.
-        status: SOLVED if as many goals were served as were asked for; INTERRUPTED; or why there is no path for the
-            team.
+        num_from_nothing: Number of times that the whole team was planned, including the first.
+        status: SOLVED if ``num_goals`` goals were served, INTERRUPTED, or the reason why the team has no path.
     """
 
     problem: Problem
@@ -203,126 +195,113 @@ def lifelong(
     options: BLOptions = _DEFAULT_OPTIONS,
     plan: Planner | None = None,
 ) -> LifelongRun:
-    """Let a team serve goals that keep coming: a robot that arrives gets its next one, the others go on.
+    """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
-    The team is planned by :func:`bl_plan` once. From then on, each robot that has a new goal is planned by itself,
-    through time, among the motions of the others. A robot that rests at its goal is in the way of others for some
-    rows only, as it has another goal then. One that finds no way for now goes as near to its goal as it may rest, and
-    is planned again and again, those first that have had their goals for longest. Where it cannot make way for those
-    that are to pass, these go another way. Whoever is latest is planned again as well. If all that leads nowhere, the
-    team is planned from nothing.
+    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself, through time,
+    among the motions of the others. A robot at its goal blocks others only for some rows, since it then gets another
+    goal. A robot that finds no path goes as near to its goal as it may rest, and is replanned later, those with the
+    oldest goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is
+    also replanned. If all this fails, the whole team is planned again.
 
-    Deterministic, but for where a time limit strikes. It shows progress; Ctrl-C ends it and returns what was done.
+    The function shows progress. Ctrl-C ends it and returns the run so far. Results are deterministic unless a time
+    limit is reached.
 
     Args:
-        problem: The robots, where they begin, and their first goals.
-        next_goal: A function of a robot and the goals of all others ``(robots - 1, dof)`` that returns the robot's
-            next goal, ``(dof,)``, in free space that it can reach. If it overlaps another robot's goal, the robot
-            stays about where it is until that one has another, or changes places with it.
-        num_goals: How many are to be served, at least 1. The last ones may be served at once, a few more in all.
-        options: As those of :func:`bl_plan`; the limit on time holds for each replanning.
-        plan: Plan the whole team anew by this, such as :func:`bl_plan`, whenever a robot arrives. None: as above.
-
-    Returns:
-        What the team did.
+        problem: The robots, their starts, and their first goals.
+        next_goal: A function of a robot's index and the goals of all others, ``(robots - 1, dof)``, that returns the
+            robot's next goal, ``(dof,)``. The goal must be free and reachable. If it overlaps another robot's goal,
+            the robot stays near its place until that robot has another goal, or the two swap places.
+        num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
+        options: Options of :func:`bl_plan`; the time limit applies to each replanning.
+        plan: A planner of problems, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives.
+            None: replanning as described above.
 
     Raises:
-        ValueError: If ``num_goals`` is no integer of at least 1, or a goal is not ``(dof,)``, free, and within
-            reach.
+        ValueError: If ``num_goals`` is not a positive integer, or a goal is not ``(dof,)``, free and reachable.
 
-    References:
-        Li et al., "Lifelong multi-agent path finding in large-scale warehouses", 2021. Silver, "Cooperative
-        pathfinding", 2005.
+    References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
+    warehouses", 2021.
     """
-    require_task(problem, options)
+    require_problem_and_options(problem, options)
     require_integer("num_goals", num_goals, 1)
     require_function("next_goal", next_goal)
     if plan is not None:
         require_function("plan", plan)
-    team = _Team(problem, options, plan)
+    team = _LifelongTeam(problem, options, plan)
     with tqdm(total=num_goals, desc="lifelong", unit=" goals", delay=3, leave=False, disable=None) as progress:
         try:
             status = team.plan_from_nothing()
             while status is Status.SOLVED and len(team.served) < num_goals:
-                arrived = team.go_on()
+                arrived = team.advance()
                 progress.update(len(arrived))
                 for i in arrived:
-                    team.assign(i, next_goal(i, np.delete(team.wanted, i, axis=0)))
+                    team.assign(i, next_goal(i, np.delete(team.requested_goals, i, axis=0)))
                 status = team.replan()
         except KeyboardInterrupt:
             status = Status.INTERRUPTED
-    return team.run(status)
+    return team.result(status)
 
 
-class _Team:
-    """Where the robots are, where they are going, and what they have done.
-
-    Attributes:
-        problem: The team, and goals that are apart: those that are wanted, or were before.
-        wanted: The goals that the robots have been given.
-        path: What is planned for them from now on.
-        served: The goals that were served: by whom, at which row, and which.
-    """
+class _LifelongTeam:
+    """State of a lifelong run: the planned motions, the goals, and the record of what was done."""
 
     def __init__(self, problem: Problem, options: BLOptions, plan: Planner | None):
-        self.problem, self.options, self.plan = problem, options, plan
-        self.wanted, self.path = problem.starts.copy(), problem.starts[None]
+        self.problem, self.options, self.plan = problem, options, plan  # goals of the problem never overlap
+        self.requested_goals, self.path = problem.starts.copy(), problem.starts[None]  # the path from now on
         for i, robot in enumerate(problem.robots):
-            self.wanted[i, : robot.dof] = problem.goals[i, : robot.dof]
+            self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
-        self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []
+        self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []  # robot, row and goal
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
-        self._since = np.zeros(len(problem.robots))  # the row at which each got its goal
-        self._hurried = np.full(len(problem.robots), -_WINDOW)  # the row at which each was planned to be sooner
+        self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
+        self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
         self._num_from_nothing, self._num_idle = 0, 0
 
     def plan_from_nothing(self) -> Status:
-        """Plan the whole team; SOLVED if it has a path."""
+        """Plan the whole team; return SOLVED if it has a path."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
-        solution = plan(self._from_here(self.problem.goals))
+        solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
         if solution.path is None or solution.status is Status.INTERRUPTED:
             return solution.status
-        self.path = solution.path if self.plan else in_rows(self.problem, solution.path, self.length)
+        self.path = solution.path if self.plan else subdivided(self.problem, solution.path, self.length)
         return Status.SOLVED
 
-    def go_on(self) -> list[int]:
-        """Let the robots move until some arrive, or those that wait are to be planned again; who arrives."""
-        is_there = (self.path == self.wanted).all(axis=2)
+    def advance(self) -> list[int]:
+        """Move the robots until some arrive or waiting ones are due for replanning; return those that arrive."""
+        is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there.any(axis=1))
         row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
         row = row if self.plan else min(row, _WINDOW)
         self._done.append(self.path[1 : row + 1])
         self._num_rows, self.path = self._num_rows + row, self.path[row:]
         arrived = np.flatnonzero(is_there[row]).tolist()
-        self.served += [(i, self._num_rows, self.wanted[i].copy()) for i in arrived]
+        self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
     def assign(self, i: int, goal: ArrayLike) -> None:
-        """Give a robot its next goal."""
         expected = f"numbers of shape ({self.problem.dof},)"
         goal = as_numbers(f"The next goal of robot {i}", goal, expected)
         if goal.shape != (self.problem.dof,):
             raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {goal.shape}.")
-        dof = self.problem.robots[i].dof  # the heading of a robot that has none is ignored
-        self.wanted[i, :dof], self._since[i] = goal[:dof], self._num_rows
+        dof = self.problem.robots[i].dof  # ignore the heading of a robot without one
+        self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
 
     def replan(self) -> Status:
-        """Plan those that have new goals, or wait; SOLVED if all can go on."""
+        """Replan robots that have new goals or wait; return SOLVED if all can go on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
-            self.problem = self._from_here(goals)
+            self.problem = self._current_problem(goals)
         try:
-            status = self.plan_from_nothing() if self.plan else self._replan_those_that_wait()
+            status = self.plan_from_nothing() if self.plan else self._replan_waiting()
         except TimeoutError:
             status = Status.TIME_LIMIT
         self._seconds.append(time.process_time() - began)
         return status
 
-    def run(self, status: Status) -> LifelongRun:
-        """What was done."""
+    def result(self, status: Status) -> LifelongRun:
         path = np.concatenate(self._done)
         problem = Problem(
             self.problem.workspace, self.problem.robots, path[0], path[-1], self.problem.rotation_weight
@@ -332,16 +311,16 @@ class _Team:
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
-    def _from_here(self, goals: Goals) -> Problem:
-        """The problem from where the robots are; a goal that is not free, or out of reach, is refused."""
+    def _current_problem(self, goals: Goals) -> Problem:
+        """Return the problem from the current configurations; raise ``ValueError`` for an invalid goal."""
         problem = self.problem
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """The wanted goals, but for robots whose goals overlap others: those keep the ones that they had."""
+        """Return the requested goals; robots whose goals overlap others keep their previous ones."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
-        goals, before = self.wanted.copy(), self.problem.goals
+        goals, before = self.requested_goals.copy(), self.problem.goals
         new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         while new:
             i = new.pop()
@@ -354,11 +333,11 @@ class _Team:
                 new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         return goals
 
-    def _replan_those_that_wait(self) -> Status:
-        """Plan robots among the others that have new goals, or are soon to rest short of theirs."""
+    def _replan_waiting(self) -> Status:
+        """Plan robots among the others if they have new goals, or soon rest short of their goals."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
-        waits = (self.path[-1] != self.wanted).any(axis=1)
+        waits = (self.path[-1] != self.requested_goals).any(axis=1)
         self._num_idle = self._num_idle + 1 if waits.all() else 0
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))
         todo = todo[np.argsort(self._since[todo], kind="stable")].tolist()
@@ -369,14 +348,14 @@ class _Team:
             i, left = todo.pop(0), left - 1
             motion, _ = self._search(timetable, i)
             if motion is None:
-                # It stays where it is, and who would have passed there goes another way.
+                # The robot stays in place. Robots that would have passed there are replanned.
                 motion = self.path[:1, i, : problem.robots[i].dof]
                 row, other = timetable.meetings(i, motion)
                 todo += sorted({*other[row < _PATIENCE].tolist()} - {*todo})
             timetable.move(i, motion)
-        # Plan the robot again that is to be at its goal latest, over its straight way, if it gets there sooner.
-        is_bound = (timetable.path[-1] == self.wanted).all(axis=1)
-        straight = straight_costs(self.path[0], self.wanted, problem.rotation_weights) / self.length
+        # Replan the robot that arrives latest, compared to its straight line, and keep the plan if it is sooner.
+        is_bound = (timetable.path[-1] == self.requested_goals).all(axis=1)
+        straight = straight_costs(self.path[0], self.requested_goals, problem.rotation_weights) / self.length
         late = np.where(is_bound & (self._num_rows >= self._hurried + _WINDOW), timetable.ends - straight, 0.0)
         i = int(late.argmax())
         if late[i] > _LATE:
@@ -388,5 +367,4 @@ class _Team:
         return Status.SOLVED
 
     def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
-        """A motion of a robot among the others, and whether it leads to the goal."""
         return plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)

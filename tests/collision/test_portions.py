@@ -58,7 +58,7 @@ def test_few_bodies_are_judged_at_a_time_however_long_they_are_in_doubt(corners,
         return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
 
     q0, q1 = columns(3)
-    body = bodies.moving(BAR, q0, q1).sized(np.zeros((2, corners)))
+    body = bodies.moving_bodies(BAR, q0, q1).with_size(np.zeros((2, corners)))
     assert not bodies.bisect(undecided, body, body, reach).any()
     assert max(judged) <= most
     assert sum(judged) > most  # all at once would be more
@@ -114,7 +114,7 @@ def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
     clock = iter(range(1000))
     monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
     q0, q1 = columns(20)
-    body = bodies.moving(BAR, q0, q1).sized(np.zeros((2, 4)))
+    body = bodies.moving_bodies(BAR, q0, q1).with_size(np.zeros((2, 4)))
     never = np.zeros(20, dtype=bool)
     with pytest.raises(TimeoutError):
         bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)

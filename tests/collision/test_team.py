@@ -171,10 +171,10 @@ def test_nobody_far_away_is_near():
     q = np.array([[(0.0, 0.0), (1.0, 0.0), (0.0, 9.0)]] * 2)
     traffic = TeamTrajectory([DISC] * 3, q)
     around, motion = circles(q[:1, :1], q[1:, :1]), np.array([0])
-    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[], []]  # two radii are 0.6
+    assert [x.tolist() for x in traffic.robots_near(0, around, motion)] == [[], []]  # two radii are 0.6
     traffic.move(1, np.array([(0.5, 0.0)] * 2))
-    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[0], [1]]
-    assert [x.tolist() for x in traffic.near(0, around, motion, (1,))] == [[], []]
+    assert [x.tolist() for x in traffic.robots_near(0, around, motion)] == [[0], [1]]
+    assert [x.tolist() for x in traffic.robots_near(0, around, motion, (1,))] == [[], []]
     np.testing.assert_array_equal(q[:, 1], [(1.0, 0.0)] * 2, err_msg="the path given is left alone")
 
 
@@ -189,7 +189,7 @@ def test_motions_changed_in_some_rows_are_as_if_the_path_had_been_made_so(seed):
     made = TeamTrajectory(CROWD, changed)
     np.testing.assert_array_equal(traffic.path, changed)
     around, motion = circles(*rng.uniform(0, 4, (2, 40, 2, 3))), rng.integers(0, 11, 40)
-    for a, b in zip(traffic.near(2, around, motion), made.near(2, around, motion), strict=True):
+    for a, b in zip(traffic.robots_near(2, around, motion), made.robots_near(2, around, motion), strict=True):
         np.testing.assert_array_equal(a, b)
 
 

@@ -106,15 +106,15 @@ def test_children_are_those_that_collide_with_nothing_the_best_where_they_are_cu
         assert len(set(keys)) == len(keys) and set(keys) <= set(expected)
         np.testing.assert_allclose(found, [expected[key] for key in keys], rtol=1e-5)
         assert (np.diff(found) >= 0).all(), "best first"
-        assert not children.whole[row] or set(keys) == set(expected)
+        assert not children.is_complete[row] or set(keys) == set(expected)
         if width >= 100 and expected:
             assert found[0] == pytest.approx(min(expected.values()), rel=1e-5)
         num_valid += len(keys)
     if width > sizes[-1]:
-        assert children.whole.all() and children.num_valid == num_valid
+        assert children.is_complete.all() and children.num_valid == num_valid
         assert children.num_scored == len(state) * sizes.sum()
         assert 0 < num_valid < 0.9 * len(state) * sizes[-1], "some children collide"
-    assert children.whole.all() == (width >= sizes[-1])
+    assert children.is_complete.all() == (width >= sizes[-1])
 
 
 def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
@@ -123,7 +123,7 @@ def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
     for width in (1, 4, 8, 9):
         children = best_successors(search.joint, terms, state, width)
         np.testing.assert_array_equal(children.score, np.sort(terms[0], axis=1)[:, :width])
-        np.testing.assert_array_equal(children.whole, np.isfinite(terms[0]).sum(axis=1) <= width)
+        np.testing.assert_array_equal(children.is_complete, np.isfinite(terms[0]).sum(axis=1) <= width)
         assert children.num_scored == terms[0].size
         assert children.num_valid == np.isfinite(terms[0]).sum(), "counted before the cut"
 
@@ -137,7 +137,7 @@ def test_scores_are_costs_and_weighted_terms_of_children(chunk, monkeypatch):
     joint, heuristic = joint_lattice_of(MIXED, 1.0), straight_line(MIXED)
     tables = tabulate(joint, heuristic)
     search = BestFirstSearch(joint, tables, 3.0, search_budget())
-    assert search.nearest == pytest.approx(3 * heuristic(MIXED.starts[None])[0], rel=1e-12)
+    assert search.least_estimate == pytest.approx(3 * heuristic(MIXED.starts[None])[0], rel=1e-12)
     for i, (lattice, table, score) in enumerate(zip(joint.lattices, tables, search.scores, strict=True)):
         q = np.repeat(MIXED.starts[None], len(lattice.q), axis=0)
         q[:, i, : lattice.q.shape[1]] = lattice.q
@@ -163,9 +163,9 @@ def test_infinity_prunes_nothing(terms):
 @pytest.mark.parametrize(
     ("terms", "message"),
     [
-        (lambda q: np.full(q.shape[:2], np.nan), "must never return NaN"),
+        (lambda q: np.full(q.shape[:2], np.nan), "must not return NaN"),
         (lambda q: np.zeros(len(q)), r"must return an array of shape \(\d+, 1\)"),
-        (lambda q: "near", "What a heuristic returns must be numbers"),
+        (lambda q: "near", "The result of a heuristic must be numbers"),
     ],
 )
 @pytest.mark.usefixtures("unchecked_types")
@@ -218,10 +218,10 @@ def nodes_by_the_book(lattice, term, first):
 def test_nodes_come_in_the_order_of_the_book(problem, step, weight, monkeypatch):
     monkeypatch.setattr(best_first, "_BATCH", 1)
     search = search_of(problem, step, weight=weight)
-    first = float(search.nearest)
+    first = float(search.least_estimate)
     assert run_on(search) is Status.SOLVED
     states, costs = nodes_by_the_book(search.joint.lattices[0], search.scores[0], first)
-    assert search.state[:, 0].tolist() == states
+    assert search.node_states[:, 0].tolist() == states
     np.testing.assert_allclose(search.costs, costs, rtol=1e-12)
 
 
@@ -231,9 +231,9 @@ def test_nodes_come_in_the_order_of_the_book(problem, step, weight, monkeypatch)
 def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(problem, weight):
     search = search_of(problem, 0.5, exact(problem), weight)
     assert run_on(search) is Status.SOLVED
-    lattices, (first, *_, last) = search.joint.lattices, search.branch
+    lattices, (first, *_, last) = search.joint.lattices, search.solution_states
     assert [(each.start, each.goal) for each in lattices] == list(zip(first, last, strict=True))
-    report = validate(problem, search.joint.configurations(search.branch))
+    report = validate(problem, search.joint.configurations(search.solution_states))
     assert report.valid and report.cost == pytest.approx(search.costs[search.found])
     least = sum(nx.dijkstra_path_length(graph_of(each), each.start, each.goal, "cost") for each in lattices)
     assert report.cost >= least - 1e-9
@@ -260,11 +260,11 @@ def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, wi
     search.goal = np.full(len(problem.robots), -1)  # nowhere
     expected = reachable(search.joint)
     assert run_on(search) is Status.EXHAUSTED
-    states = list(map(tuple, search.state.tolist()))
+    states = list(map(tuple, search.node_states.tolist()))
     assert len(states) == len(set(states)) == search.budget.num_nodes and set(states) == expected
     assert not search.successors and search.budget.num_children_valid >= len(states) - 1
     # Of what counted as held, nodes alone are left.
-    of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.most_products
+    of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.max_product_bytes
     assert of_nodes % max(1, len(states) - 1) == 0 and of_nodes >= 100 * (len(states) - 1)
 
 
@@ -285,8 +285,8 @@ def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, wi
 )
 def test_limits(limit, status, is_at_it):
     search = search_of(ROOMS, 0.4, zero(), 0.0)
-    search.budget = search.held.budget = search_budget(**limit)
-    search.held.add(search.held.num_bytes)
+    search.budget = search.memory_use.budget = search_budget(**limit)
+    search.memory_use.add(search.memory_use.num_bytes)
     assert search.run(10_000) is status and search.found is None and is_at_it(search)
 
 
@@ -308,8 +308,8 @@ def test_a_paused_search_in_portions_does_what_a_whole_one_does(products, monkey
         assert paused.budget.num_expansions >= turn
         turn, pauses = turn + 5, pauses + 1
     assert status is Status.SOLVED and pauses > 2
-    np.testing.assert_array_equal(paused.state, whole.state)
-    np.testing.assert_array_equal(paused.branch, whole.branch)
+    np.testing.assert_array_equal(paused.node_states, whole.node_states)
+    np.testing.assert_array_equal(paused.solution_states, whole.solution_states)
 
 
 def test_a_room_without_walls_is_full_of_nodes_of_their_distances():
@@ -320,5 +320,5 @@ def test_a_room_without_walls_is_full_of_nodes_of_their_distances():
     assert run_on(search) is Status.EXHAUSTED
     (lattice,) = search.joint.lattices
     least = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
-    costs = dict(zip(search.state[:, 0].tolist(), search.costs, strict=True))
+    costs = dict(zip(search.node_states[:, 0].tolist(), search.costs, strict=True))
     assert costs.keys() == least.keys() and all(costs[node] >= least[node] - 1e-9 for node in costs)

@@ -312,12 +312,12 @@ def test_two_runs_do_the_same_bit_for_bit_whatever_is_planned_between(options):
 @pytest.mark.parametrize(
     ("heuristic", "message"),
     [
-        (zero, r"what zero\(\) returns, got zero itself: call it"),
-        (straight_line, r"what straight_line\(problem\) returns, got straight_line itself: call it"),
-        (sum_of_distances, r"what sum_of_distances\(distance_fns\) returns, got sum_of_distances itself: call it"),
+        (zero, r"the result of zero\(\), got zero itself: call it"),
+        (straight_line, r"the result of straight_line\(problem\), got straight_line itself: call it"),
+        (sum_of_distances, r"the result of sum_of_distances\(distance_fns\), got sum_of_distances itself: call it"),
         (BLOptions(), r"bl_plan\(problem, options=BLOptions"),
         (robot_distance_fns(ROOMS), r"a sum over robots.* sum_of_distances\(distance_fns\)"),
-        (lambda q: np.zeros(len(q)), r"a sum over robots, with per_robot\(q\)"),
+        (lambda q: np.zeros(len(q)), r"a sum over robots with a method per_robot\(q\)"),
     ],
 )
 def test_what_is_no_heuristic_is_refused(heuristic, message):
@@ -336,14 +336,14 @@ def test_what_is_no_heuristic_is_refused(heuristic, message):
         ({"heuristic_weight": 1e300}, "heuristic_weight must be"),
         ({"time_limit": 10**400}, "time_limit must be"),
         ({"step": 10**400}, "step must be"),
-        *(({"searchers": other}, "searchers must be some of") for other in (5, [[]], iter(["bl"]), None)),
+        *(({"searchers": other}, "searchers must name at least one of") for other in (5, [[]], iter(["bl"]), None)),
         ({"cost_factor": 0.0}, "cost_factor must be a positive number or inf"),
         ({"time_limit": -5.0}, "time_limit must be a positive number or inf, got -5.0"),
         ({"time_limit": float("nan")}, "time_limit must be a positive"),
         ({"max_expansions": 0.0}, "max_expansions must be a positive"),
         ({"max_memory": 0.0}, "max_memory must be a positive"),
-        ({"searchers": ()}, "searchers must be some of"),
-        ({"searchers": "bl"}, "searchers must be some of"),
+        ({"searchers": ()}, "searchers must name at least one of"),
+        ({"searchers": "bl"}, "searchers must name at least one of"),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
@@ -472,7 +472,7 @@ def test_discs_that_were_to_go_one_after_the_other_set_out_early_when_interrupte
         patched.setattr(driver, "first_step", interrupted)
         solution = planned(problem)
     assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
-    monkeypatch.setattr(driver, "side_by_side", interrupted)
+    monkeypatch.setattr(driver, "with_early_departures", interrupted)
     solution = planned(problem, max_expansions=1)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 

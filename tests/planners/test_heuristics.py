@@ -192,7 +192,7 @@ LINE, SUM = straight_line(DISCS), sum_of_distances([taxicab, taxicab])
             for shape in ((4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4))
         ),
         (lambda: LINE(np.zeros((4, 2, 3))), r"must have shape \(n, 2, 2\), got \(4, 2, 3\)"),
-        (lambda: zero()(DISCS.starts), r"Use q\[None\] for a single one"),
+        (lambda: zero()(DISCS.starts), r"Use q\[None\] for a single joint configuration"),
         *(
             (lambda q=q: zero()(q), "Joint configurations must")
             for q in ("word", [[[1, 2], [3]]], [[["a", "b"]]])
@@ -207,7 +207,7 @@ LINE, SUM = straight_line(DISCS), sum_of_distances([taxicab, taxicab])
         ),
         (
             lambda: sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])(np.zeros((1, 2, 2))),
-            "robot 1 takes 3 coordinates, configurations have 2",
+            "robot 1 takes 3 coordinates, but configurations have 2",
         ),
         *(
             (lambda result=result: sum_of_distances([taxicab, lambda x: result])(np.zeros((3, 2, 2))),

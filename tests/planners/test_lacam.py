@@ -17,7 +17,7 @@ from plr_jax.planners.lacam import PIBT, Moves
 def test_an_empty_stack_means_that_all_reachable_states_are_nodes(problem, step):
     search = search_of(problem, step)
     assert search.run(10**6) is Status.EXHAUSTED and search.found is None
-    assert set(map(tuple, search.state.tolist())) == reachable(search.joint)
+    assert set(map(tuple, search.node_states.tolist())) == reachable(search.joint)
 
 
 def test_a_paused_search_goes_on_where_it_was():
@@ -26,7 +26,7 @@ def test_a_paused_search_goes_on_where_it_was():
     for patience in (2, 3, 5):
         assert paused.run(patience) is None and paused.num_idle == patience
     assert paused.run(10_000) is Status.SOLVED
-    np.testing.assert_array_equal(whole.branch, paused.branch)
+    np.testing.assert_array_equal(whole.solution_states, paused.solution_states)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_a_paused_search_goes_on_where_it_was():
 )
 def test_limits(limit, status):
     search = search_of(scenes.door(20), 0.4, search_budget(**limit))
-    assert search.run(10) is status and search.budget.memory == search.held.num_bytes > 0
+    assert search.run(10) is status and search.budget.memory == search.memory_use.num_bytes > 0
 
 
 def wandered(joint, seed, steps=4):

@@ -61,7 +61,7 @@ def deepest_overlap(workspace, robot, q0, q1):
 
 def visited(lattice):
     """The nodes of a lattice but for those that the start and the goal replace."""
-    return np.setdiff1d(np.arange(len(lattice.q)), lattice.kind.ends.cell[lattice.row])
+    return np.setdiff1d(np.arange(len(lattice.q)), lattice.kind.terminals.cell[lattice.row])
 
 
 def reaches_goal(lattice):
@@ -214,7 +214,7 @@ def motions_at_ends(problem, robot, lattice, step):
     start, goal = lattice.start, lattice.goal
     (offset,) = offsets(np.array([[start, goal]]))
     same_cell = start != goal and not any(offset)
-    cells = np.setdiff1d(np.arange(lattice.kind.num_cells), lattice.kind.ends.cell[lattice.row]).tolist()
+    cells = np.setdiff1d(np.arange(lattice.kind.num_cells), lattice.kind.terminals.cell[lattice.row]).tolist()
     pairs = [pair for end in {start, goal} for cell in cells for pair in ((end, cell), (cell, end))]
     pairs = np.array([*pairs, (start, goal), (goal, start)])
     leads = [tuple(offset) in PRIMITIVES for offset in offsets(pairs)]

@@ -24,7 +24,7 @@ def table_of(name, waiting=6, seconds=60.0):
     problem, step = TEAMS[name]
     search = search_of(problem, step)
     assert search.run(10_000) is Status.SOLVED
-    state = np.concatenate([search.branch, np.repeat(search.branch[-1:], waiting, axis=0)])
+    state = np.concatenate([search.solution_states, np.repeat(search.solution_states[-1:], waiting, axis=0)])
     return search.joint, ReservationTable(search.joint, state, search_budget(seconds=seconds))
 
 
@@ -82,10 +82,10 @@ def test_memory_counts_what_the_table_and_its_collisions_take():
     said = num_bytes_of_table(table.joint, len(table.state))
     taken = sum(blocked.nbytes for blocked in table.blocked)
     assert taken / 2 <= said <= 4 * taken
-    known = [edges for of_pair in table._known.values() for edges in of_pair.values()]
-    assert table.budget.memory == table.held.num_bytes >= said + sum(edges.nbytes for edges in known)
+    known = [edges for of_pair in table._colliding_edges.values() for edges in of_pair.values()]
+    assert table.budget.memory == table.memory_use.num_bytes >= said + sum(edges.nbytes for edges in known)
     assert all(edges.base is None for edges in known)
-    table.held.release()
+    table.memory_use.release()
     assert table.budget.memory == 0
 
 
@@ -118,6 +118,6 @@ def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
         assert report.valid and report.cost == pytest.approx(costs[-1])
         q = joint.configurations(table.state)
         assert joint.test(q[:-1], q[1:]).all()
-        assert (table.cost >= table.least * (1 - 1e-9)).all()
+        assert (table.cost >= table.least_costs * (1 - 1e-9)).all()
         assert_blocked_as_from_scratch(table)
     assert costs[0] > costs[1] and (np.diff(costs) <= 1e-9 * costs[0]).all()

@@ -8,7 +8,7 @@ from robot_helpers import AnyShape
 
 from plr_jax import DiscRobot, PointRobot, Problem, Workspace, bl_plan, makespan, scenes, validate
 from plr_jax._problem import path_cost
-from plr_jax.planners.sequential import CornerRoadmap, sequential_path, side_by_side
+from plr_jax.planners.sequential import CornerRoadmap, sequential_path, with_early_departures
 
 NEEDLE = Workspace(((0, 0), (10, 10)), [[(0, 4.9), (7, 5), (0, 5.1)], [(10, 1), (8, 2), (9, 0.5)]])
 L_SHAPED = Workspace(((0, 0), (10, 10)), [shapely.box(2, 2, 8, 3), shapely.box(2, 2, 3, 8), shapely.box(6, 6, 7, 9)])
@@ -86,7 +86,7 @@ def test_paths_of_teams_are_valid_and_set_out_earlier_at_the_same_cost(name):
         if path is None:
             continue
         found += 1
-        retimed = side_by_side(problem, path)
+        retimed = with_early_departures(problem, path)
         for each in (path, retimed):
             report = validate(problem, each)
             assert report.valid, report.message
@@ -129,7 +129,7 @@ def test_robots_that_are_at_their_goals_stay_or_come_back():
     path = sequential_path(still)
     assert path is not None
     np.testing.assert_array_equal(path, still.starts[None])
-    np.testing.assert_array_equal(side_by_side(still, path), path)
+    np.testing.assert_array_equal(with_early_departures(still, path), path)
     bay = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3, 2.2), shapely.box(4.2, 1, 7, 2.2)])
     passed = Problem(bay, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (3.6, 0.5)], [(6.4, 0.5), (3.6, 0.5)])
     path = sequential_path(passed)

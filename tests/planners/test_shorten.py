@@ -71,7 +71,7 @@ def test_paths_of_the_search_become_cheaper_and_stay_valid(problem, step):
     search = BestFirstSearch(joint, tabulate(joint, exact(problem)), 2.0, search_budget())
     while search.run(100_000) is None:
         pass
-    path = joint.configurations(search.branch)
+    path = joint.configurations(search.solution_states)
     for shortened in (over_shortcuts, in_corridors):
         assert path_cost(problem, shortened(problem, path)) < path_cost(problem, path)
 

@@ -7,7 +7,7 @@ from planner_helpers import MIXED, ROOM
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners.through_time import ROWS_PER_STEP, Timetable, in_rows, plan_through_time
+from plr_jax.planners.through_time import ROWS_PER_STEP, Timetable, plan_through_time, subdivided
 from plr_jax.robots.robot import between
 
 LENGTH = 0.15
@@ -30,7 +30,7 @@ def planned(timetable, i, rest=np.inf, most=10_000):
 def test_motions_fit_where_each_two_are_apart(problem):
     path = straight(problem, 40)
     timetable, rng = Timetable(problem, path), np.random.default_rng(1)
-    timetable.absent.add(len(problem.robots) - 1)
+    timetable.ignored.add(len(problem.robots) - 1)
     for i, robot in enumerate(problem.robots[:-1]):
         q = (
             problem.starts[i]
@@ -39,7 +39,7 @@ def test_motions_fit_where_each_two_are_apart(problem):
         )
         begin, end = q[:30], q[30:]
         row, count = rng.integers(0, 50, 30), rng.integers(0, 8, 30)
-        fits = timetable.fits(i, begin, end, row, count)
+        fits = timetable.are_free(i, begin, end, row, count)
         for k in range(30):
             expected = True
             for step in range(count[k]):
@@ -60,13 +60,13 @@ def test_a_place_is_free_from_the_row_on_at_which_the_last_has_passed():
     timetable, place = Timetable(problem, path), np.array([5.0, 5.0])
     meetings, who = timetable.meetings(0, place[None])
     assert meetings.tolist() == [3, 4] and set(who.tolist()) == {1}
-    free = timetable.free_from(0, place, np.inf)
+    free = timetable.next_free_rows(0, place, np.inf)
     assert free.tolist() == [5] * 6 + [6, 7, 8]
-    assert timetable.free_from(0, place, 3)[:5].tolist() == [0, 5, 5, 5, 5]
+    assert timetable.next_free_rows(0, place, 3)[:5].tolist() == [0, 5, 5, 5, 5]
     # Where it rests it rests for good, or for as long as it is patient.
-    assert not np.isfinite(timetable.free_from(0, np.array([9.0, 5.0]), np.inf)).any()
+    assert not np.isfinite(timetable.next_free_rows(0, np.array([9.0, 5.0]), np.inf)).any()
     patient = Timetable(problem, path, patience=4)
-    assert patient.free_from(0, np.array([9.0, 5.0]), 2)[6:].min() == 12
+    assert patient.next_free_rows(0, np.array([9.0, 5.0]), 2)[6:].min() == 12
 
 
 def test_alone_a_robot_goes_straight_at_unit_speed():
@@ -101,14 +101,14 @@ def test_who_finds_no_way_goes_as_near_as_it_may_rest():
     timetable = Timetable(problem, problem.starts[None])
     motion, arrives = planned(timetable, 0)
     assert not arrives and 3.6 < motion[-1, 0] <= 4.2
-    timetable.absent.add(1)
+    timetable.ignored.add(1)
     assert planned(timetable, 0)[1]
 
 
 @pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(3)], ids=["mixed", "rooms"])
 def test_robots_planned_one_among_the_others_make_a_valid_path(problem):
     timetable = Timetable(problem, problem.starts[None])
-    timetable.absent.update(range(len(problem.robots)))
+    timetable.ignored.update(range(len(problem.robots)))
     for i in range(len(problem.robots)):
         motion, arrives = planned(timetable, i)
         assert arrives
@@ -119,7 +119,7 @@ def test_robots_planned_one_among_the_others_make_a_valid_path(problem):
 
 def test_rows_that_are_added_change_nothing_and_take_no_longer_than_they_may():
     path = straight(MIXED, 7)
-    finer = in_rows(MIXED, path, LENGTH)
+    finer = subdivided(MIXED, path, LENGTH)
     costs = np.hypot(*np.moveaxis(np.diff(finer[..., :2], axis=0), 2, 0))
     assert (costs <= LENGTH * (1 + 1e-9)).all()
     rows = np.flatnonzero((finer[:, None] == path[None]).all(axis=(2, 3)).any(axis=1))

@@ -122,7 +122,7 @@ def test_what_is_wrong_is_said():
     solution = bl_plan(problem)
     with pytest.raises(ValueError, match="starts must be where the solution has the robots"):
         replan(problem, solution, 2.0)
-    with pytest.raises(ValueError, match="at must be a time of at least 0"):
+    with pytest.raises(ValueError, match="at must be a finite time of at least 0"):
         replan(problem, solution, -1.0)
     with pytest.raises(ValueError, match="must be one for the problem's robots"):
         replan(scenes.four_rooms(3), solution, 0.0)

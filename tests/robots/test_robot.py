@@ -27,7 +27,7 @@ from plr_jax import (
 from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Stats, Status
-from plr_jax.planners._solution import solution_of
+from plr_jax.planners._solution import make_solution
 from plr_jax.plot._paths import timeline
 from plr_jax.robots.robot import (
     shorter_turn,
@@ -243,7 +243,7 @@ def test_all_turn_the_same_way(theta, side, k):
         assert MotionTest(problem.workspace, HAND)(path[0], path[1])[0] == free
         post = np.array([[2 * np.cos(ahead), 2 * np.sin(ahead), 0]])
         assert motions_apart(HAND, path[0], path[1], PointRobot(), post, post, 0.0)[0] == free
-    solution = solution_of(problem, path, 0.0, Status.SOLVED, Stats(0), NOWHERE)
+    solution = make_solution(problem, path, 0.0, Status.SOLVED, Stats(0), NOWHERE)
     motion = timeline(problem, path)
     assert solution.path_at(solution.makespan / 2)[0, 2] == pytest.approx(middle)
     assert motion.at(np.array([motion.duration / 2]))[0, 0, 2] == pytest.approx(middle)
