@@ -64,7 +64,7 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"expected JSON, got something else or a damaged file ({error}).") from None
-    _require_modest(value)
+    _require_limits(value)
     return value
 
 
@@ -78,7 +78,7 @@ def yaml_of(path: Path) -> Any:
         value = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"expected YAML ({error}).") from None
-    _require_modest(value)
+    _require_limits(value)
     return value
 
 
@@ -132,7 +132,7 @@ def _require_plain(events: Iterator[Any]) -> None:
             raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
 
 
-def _require_modest(value: Any) -> None:
+def _require_limits(value: Any) -> None:
     level, nested = [value], 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):

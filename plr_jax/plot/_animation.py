@@ -22,14 +22,14 @@ from plr_jax.plot._axes import new_axes
 from plr_jax.plot._page import (
     BORDER,
     PLAY,
-    document,
-    framed,
+    asset,
+    html_document,
+    in_iframe,
     obstacles_path,
-    part,
     pixel_scale,
     pixels,
     view_box,
-    view_of,
+    view_parameters,
 )
 from plr_jax.plot._paths import (
     Timeline,
@@ -39,9 +39,9 @@ from plr_jax.plot._paths import (
     body_outline,
     color_of,
     drawn_rounding,
-    front,
+    front_sides,
+    heading_bar,
     ink_on,
-    nose,
     number_size,
     outline,
     timeline,
@@ -66,8 +66,8 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
     """Return a page that plays a path, as HTML."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
-    script = part("clock.js") + part("player.js").replace("{{motion}}", content)
-    return document(f"Path of {len(problem.robots)} robots", part("player.css"), body, script)
+    script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
+    return html_document(f"Path of {len(problem.robots)} robots", asset("player.css"), body, script)
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
@@ -83,7 +83,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     return {
         "seconds": seconds,
         "hold": HOLD,
-        "view": view_of(bounds),
+        "view": view_parameters(bounds),
         "duration": motion.duration,
         "times": [short(share, 6) for share in motion.times / motion.duration],
         "steps": [
@@ -114,7 +114,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
         points = pixels(bounds, outline(robot, goal, bounds))
         goals.append(f'<polygon class="halo" points="{points}"/><polygon class="goal" {line} points="{points}"/>')
         if robot.dof == 3:
-            ahead = pixels(bounds, placed(robot, front(robot, bounds), goal))
+            ahead = pixels(bounds, placed(robot, front_sides(robot, bounds), goal))
             goals[-1] += f'<polyline class="front" {line} points="{ahead}"/>'
         # 3. The body about the origin, which turns, and its number, which stays upright.
         radius = scale * drawn_rounding(robot, bounds)
@@ -124,7 +124,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
         else:
             body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
         if robot.dof == 3:
-            (x, y0), (_, y1) = scale * nose(robot, bounds)
+            (x, y0), (_, y1) = scale * heading_bar(robot, bounds)
             body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
         number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
         if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
@@ -191,7 +191,7 @@ class Animation:
     def _repr_html_(self) -> str:
         bounds = self.problem.workspace.bounds
         width, height = pixel_scale(bounds) * bounds.width + 2 * (BORDER + _PADDING)
-        return framed(player(self.problem, self.motion, self.seconds), width, height + _CONTROLS)
+        return in_iframe(player(self.problem, self.motion, self.seconds), width, height + _CONTROLS)
 
 
 def animate(
@@ -293,7 +293,7 @@ class _Actor:
         self.outline = body_outline(self.robot, bounds)
         (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
         self.body, self.bar = add_body(ax, problem, i, q)
-        self.nose = nose(self.robot, bounds)
+        self.nose = heading_bar(self.robot, bounds)
         self.number = add_number(ax, i, q[:2], ink_on(color_of(i)))
         self.number.set_visible(2 * self.robot.inscribed_radius >= 0.75 * number_size(ax, i))
         self.artists = [a for a in (self.trail, self.body, self.bar, self.number) if a is not None]

@@ -68,14 +68,14 @@ def save(ax: Axes, path: str | os.PathLike[str]) -> None:
     ax.figure.canvas.figure.savefig(path)
 
 
-def dressed_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
+def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
     """The axes, or new ones, set up to show a slice of a box: limits, ticks, labels, ink."""
     box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
-    alike = kinds[0] == kinds[1]
-    ax = ax or new_axes(box if alike else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
+    same_unit = kinds[0] == kinds[1]
+    ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
     ax.set_xlim(box.lo[0], box.hi[0])
     ax.set_ylim(box.lo[1], box.hi[1])
-    ax.set_aspect("equal" if alike else "auto")
+    ax.set_aspect("equal" if same_unit else "auto")
     _label_axes(ax, shown.domain, shown.axes)
     _ink(ax)
     ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)

@@ -40,20 +40,20 @@ PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><p
 """The button of ``clock.js``."""
 
 
-def part(name: str) -> str:
+def asset(name: str) -> str:
     """A part of pages, from a file of this folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def document(title: str, style: str, body: str, script: str) -> str:
+def html_document(title: str, style: str, body: str, script: str) -> str:
     """A page of its parts; ``page.css`` comes before its style."""
     filled = {
-        "style": part("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
+        "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
         "script": script,
         "title": html.escape(title),  # last, as it may be in braces itself
     }
-    page = part("page.html")
+    page = asset("page.html")
     for name, value in filled.items():
         page = page.replace("{{" + name + "}}", value)
     return page
@@ -75,7 +75,7 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 """
 
 
-def framed(page: str, width: float | int, height: float | int) -> str:
+def in_iframe(page: str, width: float | int, height: float | int) -> str:
     """A page in a frame of its own, so that many fit on one page and none sees the others."""
     looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
     return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
@@ -86,7 +86,7 @@ def pixel_scale(bounds: Box) -> float:
     return SIZE / float(bounds.width.max())
 
 
-def view_of(bounds: Box) -> dict[str, float]:
+def view_parameters(bounds: Box) -> dict[str, float]:
     """What scripts need to know to place points."""
     return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
 
@@ -142,7 +142,7 @@ class Page:
         return f"Page({len(self.html.encode()):,} bytes)"
 
     def _repr_html_(self) -> str:
-        return framed(self.html, *_FRAME)
+        return in_iframe(self.html, *_FRAME)
 
 
 def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
@@ -164,21 +164,21 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     Raises:
         ValueError: If it is none of those, or not in the plane.
     """
-    held = plr_or_pairs
-    if not isinstance(held, PLR | PairPLR):
-        raise ValueError(f"A page shows a PLR or pairs of points in the plane, got {shortened(held)}.")
-    if held.domain.dim != 2:
+    source = plr_or_pairs
+    if not isinstance(source, PLR | PairPLR):
+        raise ValueError(f"A page shows a PLR or pairs of points in the plane, got {shortened(source)}.")
+    if source.domain.dim != 2:
         raise ValueError(
-            f"A page shows the plane, got a PLR of {held.domain.dim} axes; see plr_jax.plot.slices for others."
+            f"A page shows the plane, got a PLR of {source.domain.dim} axes; see plr_jax.plot.slices for others."
         )
     if not isinstance(workspace, Workspace | None):
         raise ValueError(
             f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
         )
-    data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
-    walls = None if workspace is None else {"data": obstacles_path(workspace, held.domain)}
+    data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
+    walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
-    if isinstance(held, PairPLR):
+    if isinstance(source, PairPLR):
         is_read_by_page = True
     else:
         container = Container.from_bytes(data)
@@ -187,13 +187,13 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     if is_read_by_page:
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
-        box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
+        box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
         content |= {"box": json.dumps(box), "module": _module(data)}
-    told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
+    content_js = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
-    script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
+    script = "\n".join([*readers, asset("clock.js"), asset("field.js").replace("{{content}}", content_js)])
     return Page(
-        document(name, part("field.css"), part("field.html").replace("{{play}}", PLAY), packed_script(script))
+        html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
     )
 
 

@@ -57,7 +57,7 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
 
 _DEGREES = np.array([180.0, 90.0])
 _SMALL = 1.0  # degrees: what is mapped is smaller
-_HOLDS = {
+_PARTS_KEY = {
     "FeatureCollection": "features",
     "Feature": "geometry",
     "GeometryCollection": "geometries",
@@ -65,7 +65,7 @@ _HOLDS = {
     "Polygon": "coordinates",
 }  # objects that are read, and the key of their parts
 _MOST_NESTED = 32  # parentheses of WKT, which GEOS reads by recursion
-_NOT_READ = ("Point", "MultiPoint", "LineString", "MultiLineString")
+_UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 
 def read_geojson(
@@ -103,7 +103,9 @@ def read_geojson(
     with errors_named(path):
         document = json_of(path)
         if not is_geojson(document):
-            raise ValueError(f'expected GeoJSON, an object of "type" {", ".join(_HOLDS)}, got {shortened(document)}.')
+            raise ValueError(
+                f'expected GeoJSON, an object of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.'
+            )
         found, bbox = list(_polygons(document, "")), document.get("bbox")
         if bounds is None and bbox is not None:  # west, south, east and north, perhaps with altitudes
             half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
@@ -199,7 +201,7 @@ def _workspace_of(
 
 def is_geojson(document: Any) -> bool:
     """Whether what a JSON file holds is to be GeoJSON."""
-    return isinstance(document, dict) and document.get("type") in (*_HOLDS, *_NOT_READ)
+    return isinstance(document, dict) and document.get("type") in (*_PARTS_KEY, *_UNSUPPORTED)
 
 
 def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.MultiPolygon]:
@@ -207,12 +209,12 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
     if entry is None:
         return
     kind, place = entry.get("type") if isinstance(entry, dict) else None, where or "the file"
-    if isinstance(kind, str) and kind in _NOT_READ and not entry.get("coordinates"):
+    if isinstance(kind, str) and kind in _UNSUPPORTED and not entry.get("coordinates"):
         return
-    if not isinstance(kind, str) or kind not in _HOLDS:
+    if not isinstance(kind, str) or kind not in _PARTS_KEY:
         got = shortened(entry if kind is None else kind)
-        raise ValueError(f'{place}: expected an object of "type" {", ".join(_HOLDS)}, got {got}.')
-    key = _HOLDS[kind]
+        raise ValueError(f'{place}: expected an object of "type" {", ".join(_PARTS_KEY)}, got {got}.')
+    key = _PARTS_KEY[kind]
     if key not in entry:
         raise ValueError(f'{place}: a {kind} needs the key "{key}", and this one has only {", ".join(entry)}.')
     parts = entry[key]

@@ -20,7 +20,7 @@ from plr_jax._arrays import shortened
 MESH_ENDINGS = (".stl", ".obj", ".ply")
 _DAMAGE = ValueError, TypeError, LookupError, OverflowError, DeprecationWarning, struct.error, ShapelyError
 _MOST_BYTES = 2**26
-_FEWEST = 3  # corners of a face; what has fewer, such as a line, is no part of the surface
+_MIN_CORNERS = 3  # corners of a face; what has fewer, such as a line, is no part of the surface
 _STL_HEADER = 84  # bytes of a binary STL file, of which the last four are the number of triangles
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _PLY_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -85,7 +85,11 @@ def _read_stl(data: bytes) -> list[Polygons]:
     text = data.decode("ascii", "replace").lower()
     loops = re.findall(r"\bouter\s+loop\b(.*?)\bendloop\b", text, re.DOTALL)
     facets = [[vertex.split() for vertex in re.split(r"\bvertex\b", loop)[1:]] for loop in loops]
-    if "endsolid" not in text or len(facets) != text.count("endfacet") or min(map(len, facets), default=3) < _FEWEST:
+    if (
+        "endsolid" not in text
+        or len(facets) != text.count("endfacet")
+        or min(map(len, facets), default=3) < _MIN_CORNERS
+    ):
         raise ValueError("a facet of the STL text is not whole, or the line 'endsolid' is missing")
     return _grouped(facets)
 
@@ -162,7 +166,7 @@ def _read_ply(data: bytes) -> list[Polygons]:
             raise ValueError(f"its header promises {count:,} rows of {shortened(element)}, and it has fewer")
         if indices is not None:
             begin, sizes, of_bytes = np.array(begin), np.array(sizes), np.frombuffer(body, np.uint8)
-            for size in np.unique(sizes[sizes >= _FEWEST]):
+            for size in np.unique(sizes[sizes >= _MIN_CORNERS]):
                 rows = sliding_window_view(of_bytes, size * indices.itemsize)[begin[sizes == size]]
                 groups.append(rows.view(indices))
     if any(((faces < 0) | (faces % 1 != 0)).any() for faces in groups):
@@ -175,7 +179,7 @@ def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)
-    groups = [np.array(group, np.float64) for size, group in by_size.items() if size >= _FEWEST]
+    groups = [np.array(group, np.float64) for size, group in by_size.items() if size >= _MIN_CORNERS]
     if any(group.shape[2:] != (3,) for group in groups):
         raise ValueError("a corner has not three coordinates")
     return groups

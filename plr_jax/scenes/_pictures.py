@@ -84,7 +84,7 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
     """Which pixels of a picture are free, or of a map of ``map_server``; the picture's first row first."""
     if path.suffix.lower() in YAML_ENDINGS:
         return _MapServer.read(path).free(unknown_is_free=False)
-    with opened(path) as picture:
+    with open_picture(path) as picture:
         free = np.empty((picture.height, picture.width), bool)
         for rows, light, full, alpha in bands(picture):
             on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
@@ -93,7 +93,7 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 
 @contextmanager
-def opened(path: Path, *, floats: bool = False) -> Iterator["Image"]:
+def open_picture(path: Path, *, floats: bool = False) -> Iterator["Image"]:
     """A picture, decoded and turned as it says; ``ValueError`` if it is none, damaged, or too large to be decoded.
 
     Args:
@@ -113,7 +113,7 @@ def opened(path: Path, *, floats: bool = False) -> Iterator["Image"]:
             expected = "a TIFF of 32-bit floats" if floats else f"a picture ({', '.join(_FORMATS)})"
             raise ValueError(f"expected {expected}, got something else ({error}).") from None
         with picture:
-            _require_modest(picture, num_bytes)
+            _require_limits(picture, num_bytes)
             if not (floats and picture.mode == "F"):
                 _require_plain(picture)
             try:
@@ -123,7 +123,7 @@ def opened(path: Path, *, floats: bool = False) -> Iterator["Image"]:
             yield picture
 
 
-def _require_modest(picture: "Image", num_bytes: int) -> None:
+def _require_limits(picture: "Image", num_bytes: int) -> None:
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES.get(picture.mode, 4) > _MOST_DECODED:
         raise ValueError(
@@ -171,10 +171,10 @@ def bands(picture: "Image") -> Iterator[Band]:
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
         part = picture.crop((0, top, picture.width, bottom))
-        yield Band(slice(top, bottom), *_light_of(part))
+        yield Band(slice(top, bottom), *_lightness(part))
 
 
-def _light_of(
+def _lightness(
     part: "Image",
 ) -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
     if part.mode.startswith("I"):
@@ -309,7 +309,7 @@ def read_cost_map(
 
 def _read_factors(path: Path, interpolation: str) -> RasterCost:
     """The cost map whose factors are the pixels of a TIFF."""
-    with opened(path, floats=True) as picture:
+    with open_picture(path, floats=True) as picture:
         if picture.mode != "F":
             raise ValueError(
                 f"expected a TIFF of 32-bit floats, got a picture of mode {picture.mode}. For gray values of "
@@ -381,7 +381,7 @@ class _MapServer:
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
     ) -> Shaped[np.ndarray, "rows columns"]:
         """What a function makes of the pixels' occupancy, NaN where it is unknown; the picture's first row first."""
-        with errors_named(self.image), opened(self.image) as picture:
+        with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
                 if self.mode == "trinary" and alpha is not None:

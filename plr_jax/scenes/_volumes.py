@@ -183,11 +183,11 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
     edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
     num_rows = num_met = 0
-    for triangle, slab in _layers(edges[0], blocked.shape[0]):
-        outlines = _outlines(_clipped(edges[..., triangle], slab))
-        for piece, row in _layers(outlines[0], blocked.shape[1]):
-            (along,) = _clipped(outlines[..., piece], row)
-            first, count = _reaches(along, blocked.shape[2])
+    for triangle, slab in _split_into_layers(edges[0], blocked.shape[0]):
+        outlines = _outlines(_clip_to_layers(edges[..., triangle], slab))
+        for piece, row in _split_into_layers(outlines[0], blocked.shape[1]):
+            (along,) = _clip_to_layers(outlines[..., piece], row)
+            first, count = _layer_range(along, blocked.shape[2])
             num_rows, num_met = num_rows + len(row), num_met + int(count.sum())
             if num_rows > _MOST_ROWS or num_met > _MOST_MET:
                 raise ValueError("the triangles meet too many voxels, one after the other: give a larger pitch.")
@@ -195,17 +195,17 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
             blocked[slab[piece][run], row[run], first[run] + place] = True
 
 
-def _layers(
+def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
     """Pieces and the layers of the grid across an axis that they reach into, some at a time."""
-    first, count = _reaches(ends, size)
+    first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
         yield piece + part.start, first[part][piece] + place
 
 
-def _reaches(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """The first layer across an axis that each piece reaches into, and how many of them the grid has."""
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
@@ -213,7 +213,7 @@ def _reaches(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarra
     return first, np.maximum(last - first + 1, 0)
 
 
-def _clipped(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
+def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
     """What of edges is within a layer each across the first axis, along the others; NaN if nothing is."""
     begin, end = edges[0]
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES

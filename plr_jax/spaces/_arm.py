@@ -15,7 +15,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import shorter_turn
-from plr_jax.spaces._plane import come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
@@ -137,8 +137,8 @@ class PlanarArm:
             if self.width > 0:
                 rows = rows[free[rows]]
                 links: Any = shapely.linestrings(ends[rows, i : i + 2])
-                free[rows] = ~come_near(self.workspace, links, self.width / 2 - self.workspace.tolerance)
-        return free & (self._distances_within(ends) >= self.width - self.workspace.tolerance).all(axis=1)
+                free[rows] = ~near_walls(self.workspace, links, self.width / 2 - self.workspace.tolerance)
+        return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether straight motions, which turn each joint the shorter way, are proven free all along.
@@ -182,7 +182,7 @@ class PlanarArm:
             state[part][self._sweeps_free(center[part], half[part])] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
-        state[rows[self._is_hit(center[rows], half[rows])]] = CellState.BLOCKED
+        state[rows[self._is_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
@@ -201,7 +201,7 @@ class PlanarArm:
 
     def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         """Whether all that the arm covers within boxes of angles certainly is clear."""
-        ends, reaches = self.forward(center), half @ self._spans
+        ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
         free = np.ones(len(center), dtype=bool)
@@ -213,12 +213,12 @@ class PlanarArm:
             free[rows] = shapely.covers(self.workspace.free_space, hulls)
             if self.width > 0:
                 rows, hulls = rows[free[rows]], hulls[free[rows]]
-                free[rows] = ~come_near(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
-        return free & (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
+                free[rows] = ~near_walls(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
+        return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
-    def _is_hit(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+    def _is_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         """Whether a link certainly overlaps obstacles, the outside of the bounds or another link, all over a box."""
-        ends, reaches = self.forward(center), half @ self._spans + 2 * self.workspace.tolerance
+        ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
             rows = np.flatnonzero(~hit)
@@ -227,27 +227,27 @@ class PlanarArm:
                 rows = np.flatnonzero(~hit)
                 x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
                 moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
-                hit[rows] = have_walls_within(self.workspace, x, self.width / 2 - moves)
-        deep = self.width - self._motions_within(half) - 2 * self.workspace.tolerance
-        return hit | (self._distances_within(ends) <= deep).any(axis=1)
+                hit[rows] = walls_within(self.workspace, x, self.width / 2 - moves)
+        deep = self.width - self._link_motion_bounds(half) - 2 * self.workspace.tolerance
+        return hit | (self._link_distances(ends) <= deep).any(axis=1)
 
     @cached_property
-    def _spans(self) -> Float[np.ndarray, "joints joints_plus_one"]:
+    def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
         """How far the ends of links are from joints at most, 0 from joints that do not move them."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
     @cached_property
-    def _pairs(self) -> list[tuple[int, int]]:
+    def _link_pairs(self) -> list[tuple[int, int]]:
         """Links that must keep off one another: those that are no neighbors, if they are to."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
-    def _distances_within(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
+    def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
         """Distances of pairs of links."""
-        distances = [distances_of_segments(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._pairs]
-        return np.reshape(distances, (len(self._pairs), len(ends))).T
+        distances = [segment_distances(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._link_pairs]
+        return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
-    def _motions_within(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
+    def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
         """How far points of the later link of pairs move at most as seen from the other within boxes."""
-        moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._pairs]
-        return np.reshape(moves, (len(self._pairs), len(half))).T
+        moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
+        return np.reshape(moves, (len(self._link_pairs), len(half))).T

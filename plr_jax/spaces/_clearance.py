@@ -16,8 +16,8 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, p
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
 _MOST_BISECTIONS = 10
 _ROUNDING = 16.0  # in units of the last place of what the clearance is computed from
-_NOTICED = 1 + 1e-6  # times what constants allow, up to which a clearance contradicts none
-_SIDEWAYS = 1e-9  # of the way, along which two configurations count as beside one another along one axis
+_LIPSCHITZ_SLACK = 1 + 1e-6  # times what constants allow, up to which a clearance contradicts none
+_AXIS_TOLERANCE = 1e-9  # of the way, along which two configurations count as beside one another along one axis
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
@@ -236,7 +236,7 @@ class ClearanceSpace:
     def _require_consistent(self, q0: Configurations, a: Numbers, q1: Configurations, b: Numbers) -> None:
         """Raise ``ValueError`` if clearances ``a`` and ``b`` of pairs of configurations contradict the constants."""
         change, difference = np.abs(self.domain.difference(q1, q0)), np.abs(b - a)
-        allowed = _NOTICED * (change @ self.lipschitz)
+        allowed = _LIPSCHITZ_SLACK * (change @ self.lipschitz)
         rounding = self._rounding(np.maximum(np.abs(a), np.abs(b)), np.maximum(np.abs(q0), np.abs(q1)))
         over = difference - allowed - rounding
         if (over > 0).any():
@@ -251,7 +251,7 @@ class ClearanceSpace:
 
 def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
     """What constants would explain how the clearances of two configurations differ."""
-    (axes,) = np.nonzero(change > _SIDEWAYS * change.max())
+    (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "None does: one configuration must have one clearance."
     least = [(difference - np.delete(change * lipschitz, axis).sum()) / change[axis] for axis in axes]

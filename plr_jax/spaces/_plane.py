@@ -25,7 +25,7 @@ Links: TypeAlias = Float[np.ndarray, "n 2 2"]
 Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
-def have_walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
+def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
     """Whether the clearance of points is at most a radius, which may be negative."""
     # A point of free space whose radius is negative needs no distance, and most are.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
@@ -52,7 +52,7 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
     return result
 
 
-def distances_of_segments(a: Links, b: Links) -> Float[np.ndarray, "n"]:
+def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
     """Distances of segments, zero where they cross."""
     of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
     pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
@@ -66,7 +66,7 @@ def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Bool
     return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
 
 
-def come_near(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
+def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     """Whether Shapely shapes are within a distance of walls, or touch them if it is 0."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
@@ -179,7 +179,7 @@ class PlaneSpace(BodySpace):
         center, half = as_boxes(lo, hi, 2)
         # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
-        near = np.flatnonzero(come_near(self.workspace, boxes, self.robot.rounding))
+        near = np.flatnonzero(near_walls(self.workspace, boxes, self.robot.rounding))
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)

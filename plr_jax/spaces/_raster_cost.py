@@ -29,23 +29,25 @@ from plr_jax.spaces._costs import Rates, Vectors
 from plr_jax.spaces._space import as_boxes
 from plr_jax.spaces._voxels import VoxelSpace
 
-_MOST_AXES = 4
-_LEAST_FACTOR, _LARGEST_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
+_MAX_AXES = 4
+_MIN_FACTOR, _MAX_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
 _INTERPOLATIONS = ("bilinear", "nearest")
-_AT_ONCE = 8192  # points, of which all that is computed stays in the cache
-_MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes themselves
+_POINTS_PER_BATCH = 8192  # points, of which all that is computed stays in the cache
+_MAX_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes themselves
 # What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
 # times what the few operations of each amount to. All of an interpolation's terms are positive.
-_OF_PLACES, _OF_FACTORS = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
-_OF_RADII = 1e-9  # by what share distances of cells may exceed a radius: rounding of the bounds changes them by less
+_COORDINATE_ROUNDING, _FACTOR_ROUNDING = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+_RADIUS_ROUNDING = (
+    1e-9  # by what share distances of cells may exceed a radius: rounding of the bounds changes them by less
+)
 # Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the values
 # that tell of them in the occupancy grids in which Nav2 and ROS publish cost maps.
-_DEAREST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
-_GRID_UNKNOWN, _GRID_DEAREST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
+_MAX_COST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
+_GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
 # Entries of all windows of a sparse table, 256 MiB; where there would be more, large blocks take more windows.
-_MOST_ENTRIES = 2**26
+_MAX_ENTRIES = 2**26
 # Windows that are looked up at a time.
-_WINDOWS_AT_ONCE = 2**18
+_WINDOWS_PER_BATCH = 2**18
 
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
@@ -96,17 +98,17 @@ class RasterCost:
             raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
         expected = f"factors on a raster of {domain.dim} axes"
         factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
-        if factors.ndim != domain.dim or factors.ndim > _MOST_AXES or factors.size == 0:
+        if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
             raise ValueError(
-                f"values must be {expected}, as the bounds have, {_MOST_AXES} at most, the last one along x, and at "
+                f"values must be {expected}, as the bounds have, {_MAX_AXES} at most, the last one along x, and at "
                 f"least one, got shape {factors.shape}."
             )
         factors[np.isnan(factors)] = np.inf
-        wrong = ~((factors >= _LEAST_FACTOR) & (factors <= _LARGEST_FACTOR)) & (factors != np.inf)
+        wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
         if wrong.any():
             cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
             raise ValueError(
-                f"values must be from {_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g}, and inf where a cell is blocked, got "
+                f"values must be from {_MIN_FACTOR:g} to {_MAX_FACTOR:g}, and inf where a cell is blocked, got "
                 f"{factors[cell]:g} at {cell}; of the bytes of a cost map use RasterCost.from_costmap."
             )
         if np.isinf(factors).all():
@@ -146,7 +148,7 @@ class RasterCost:
         """
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; of an OccupancyGrid use from_occupancy_grid")
-        factors = 1 + multiplier * np.minimum(costs, _DEAREST) / _DEAREST
+        factors = 1 + multiplier * np.minimum(costs, _MAX_COST) / _MAX_COST
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
             blocked &= costs < _UNKNOWN
@@ -181,7 +183,7 @@ class RasterCost:
             ValueError: If the values are not from -1 to 100, or as for the class.
         """
         grid = _in_range(values, _GRID_UNKNOWN, _GRID_LETHAL, "an OccupancyGrid's values; of bytes use from_costmap")
-        costs = np.interp(grid, (0, 1, _GRID_DEAREST), (0, 1, _DEAREST))
+        costs = np.interp(grid, (0, 1, _GRID_MAX_COST), (0, 1, _MAX_COST))
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
         costs[grid < 0] = _UNKNOWN
@@ -234,11 +236,11 @@ class RasterCost:
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         if not self._lethal.any():
             return self
-        around, middle = self._periods(~self._lethal)
+        around, middle = self._three_periods(~self._lethal)
         distance: Any = ndimage.distance_transform_edt(around, sampling=self._sides)
-        distance = distance[middle] * (1 - _OF_RADII)
+        distance = distance[middle] * (1 - _RADIUS_ROUNDING)
         side = self._sides.min()
-        reach = side * np.ceil(reach / side * (1 - _OF_RADII))
+        reach = side * np.ceil(reach / side * (1 - _RADIUS_ROUNDING))
         share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
         factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
         cost = RasterCost(factors, self.domain, self.interpolation)
@@ -285,14 +287,14 @@ class RasterCost:
         Raises:
             ValueError: If ``q`` has another shape.
         """
-        q = self._leading("q", q)
+        q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
-        for begin in range(0, len(known), _AT_ONCE):
-            part = known[begin : begin + _AT_ONCE]
-            places = self._places(q[part])
-            places = np.where(self.domain.periodic, places % self._sizes, self._clipped(places))
-            factors[part] = self._interpolated(places)
+        for begin in range(0, len(known), _POINTS_PER_BATCH):
+            part = known[begin : begin + _POINTS_PER_BATCH]
+            coords = self._cell_coordinates(q[part])
+            coords = np.where(self.domain.periodic, coords % self._sizes, self._clipped(coords))
+            factors[part] = self._interpolated(coords)
         return factors
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
@@ -310,73 +312,73 @@ class RasterCost:
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
         """
-        lo, hi = self._leading("lo", lo), self._leading("hi", hi)
+        lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)
-        first, last = self._grown(lo, hi)
+        first, last = self._rounded_outward(lo, hi)
         above = np.floor(last) if self.interpolation == "nearest" else np.ceil(last)
         least, most = np.empty(len(first)), np.empty(len(first))
         patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
-        is_large = (patches > _MOST_PATCHES) | (self.interpolation == "nearest")
+        is_large = (patches > _MAX_PATCHES) | (self.interpolation == "nearest")
         ends = (np.floor(first[is_large]).astype(np.intp), above[is_large].astype(np.intp))
         least[is_large], most[is_large] = self._table.extremes(*ends)
-        for count in range(1, _MOST_PATCHES + 1):
+        for count in range(1, _MAX_PATCHES + 1):
             few = np.flatnonzero(~is_large & (patches == count))
-            step = max(1, _AT_ONCE // (count + 1) ** self.dim)
+            step = max(1, _POINTS_PER_BATCH // (count + 1) ** self.dim)
             for begin in range(0, len(few), step):
                 part = few[begin : begin + step]
-                factors = self._at_breaks(first[part], last[part], count)
+                factors = self._patch_corner_factors(first[part], last[part], count)
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
-        return (1 - _OF_FACTORS) * least, (1 + _OF_FACTORS) * most
+        return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
-    def _at_breaks(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
-        """Factors at the corners of what boxes of places cut out of patches between centers, up to so many an axis.
+    def _patch_corner_factors(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
+        """Factors at the corners of what boxes of coords cut out of patches between centers, up to so many an axis.
 
         Over each such part the factor is multilinear: its extremes are there.
         """
         lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
         which = np.array(list(product(range(count + 1), repeat=self.dim)))
-        places = lines[:, which, np.arange(self.dim)]
-        return self._interpolated(places.reshape(-1, self.dim)).reshape(places.shape[:2])
+        coords = lines[:, which, np.arange(self.dim)]
+        return self._interpolated(coords.reshape(-1, self.dim)).reshape(coords.shape[:2])
 
-    def _interpolated(self, places: Vectors) -> Rates:
-        """Factors at places in cells, from the center of the first one or, for the nearest one, from its border."""
-        below = np.floor(places).astype(np.intp)
+    def _interpolated(self, coords: Vectors) -> Rates:
+        """Factors at coords in cells, from the center of the first one or, for the nearest one, from its border."""
+        below = np.floor(coords).astype(np.intp)
         if self.interpolation == "nearest":
-            return self._at(below)
-        beyond = places - below
-        total = np.zeros(len(places))
+            return self._cell_factors(below)
+        beyond = coords - below
+        total = np.zeros(len(coords))
         for corner in product((0, 1), repeat=self.dim):
             weights = (beyond[:, axis] if up else 1 - beyond[:, axis] for axis, up in enumerate(corner))
-            total += reduce(np.multiply, weights) * self._at(below + corner)
+            total += reduce(np.multiply, weights) * self._cell_factors(below + corner)
         return total
 
-    def _at(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
+    def _cell_factors(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
         """Factors of cells, given by their numbers along each coordinate; around periodic axes, else the nearest."""
         modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
-        return self._nodes.take(np.ravel_multi_index(tuple(cell.T), self._nodes.shape, mode=modes))
+        return self._filled_factors.take(np.ravel_multi_index(tuple(cell.T), self._filled_factors.shape, mode=modes))
 
-    def _leading(self, name: str, value: ArrayLike) -> Vectors:
+    def _leading_coordinates(self, name: str, value: ArrayLike) -> Vectors:
         """The leading coordinates of configurations, as many as the raster has axes."""
         points = as_points(name, value)
         if points.shape[1] < self.dim:
             raise ValueError(f"{name} must have at least {self.dim} coordinates, as {self} has, got {points.shape}.")
         return points[:, : self.dim]
 
-    def _places(self, q: Vectors) -> Vectors:
+    def _cell_coordinates(self, q: Vectors) -> Vectors:
         """Where configurations are in cells, from the center of the first one, or for the nearest from its border."""
-        places = (q - self.domain.lo) / self.domain.width * self._sizes
-        return places if self.interpolation == "nearest" else places - 0.5
+        coords = (q - self.domain.lo) / self.domain.width * self._sizes
+        return coords if self.interpolation == "nearest" else coords - 0.5
 
-    def _clipped(self, places: Vectors) -> Vectors:
-        return np.clip(places, 0, self._sizes - 1)
+    def _clipped(self, coords: Vectors) -> Vectors:
+        return np.clip(coords, 0, self._sizes - 1)
 
-    def _grown(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Boxes as boxes of places, larger by what rounding may have moved any place in them.
+    def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
+        """Boxes as boxes of coords, larger by what rounding may have moved any place in them.
 
         Around periodic axes they begin in the first period, and are one long at most.
         """
-        first, last = self._places(lo), self._places(hi)
-        reach = _OF_PLACES * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
+        reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
         turns = np.floor(first / self._sizes) * self._sizes
         is_whole = last - first >= self._sizes
@@ -395,7 +397,7 @@ class RasterCost:
         """Sides of a cell along the raster's axes."""
         return (self.domain.width / self._sizes)[::-1]
 
-    def _periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
+    def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
         """Three periods of cells along periodic axes, and where the middle one is."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
@@ -403,23 +405,25 @@ class RasterCost:
         return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
 
     @cached_property
-    def _nodes(self) -> Float[np.ndarray, "..."]:
+    def _filled_factors(self) -> Float[np.ndarray, "..."]:
         """Factors in the order of coordinates, those of blocked cells filled."""
         factors = self.values
         if not self.free.all():
-            around, middle = self._periods(~self.free)
+            around, middle = self._three_periods(~self.free)
             nearest: Any = ndimage.distance_transform_edt(
                 around, sampling=self._sides, return_distances=False, return_indices=True
             )
-            factors = factors[tuple(at[middle] % size for at, size in zip(nearest, factors.shape, strict=True))]
+            factors = factors[tuple(index[middle] % size for index, size in zip(nearest, factors.shape, strict=True))]
         return np.ascontiguousarray(factors.T)
 
     @cached_property
     def _table(self) -> "SparseTable":
         """Extremes of blocks of cells; around periodic axes, of two periods."""
-        axes = zip(self._nodes.shape, self.domain.periodic, strict=True)
+        axes = zip(self._filled_factors.shape, self.domain.periodic, strict=True)
         more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
-        return SparseTable(np.pad(self._nodes, more, mode="wrap") if self.domain.is_periodic else self._nodes)
+        return SparseTable(
+            np.pad(self._filled_factors, more, mode="wrap") if self.domain.is_periodic else self._filled_factors
+        )
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
@@ -464,12 +468,12 @@ class SparseTable:
         for each in np.unique(level):
             blocks = np.flatnonzero(level == each)
             counts = -(-(last - first + 1)[blocks] // sides[each])
-            for part in parts(counts.prod(axis=1), _WINDOWS_AT_ONCE):
+            for part in parts(counts.prod(axis=1), _WINDOWS_PER_BATCH):
                 which = blocks[part]
-                least[which], most[which] = self._covered(int(each), first[which], last[which], counts[part])
+                least[which], most[which] = self._window_extremes(int(each), first[which], last[which], counts[part])
         return least, most
 
-    def _covered(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
+    def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
         """Extremes of blocks that are covered by so many windows of one level along each axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
@@ -486,17 +490,17 @@ class SparseTable:
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
         """Sides of windows, and the least and the largest entry of those that begin at each place."""
         shape = np.array(self.values.shape)
-        side, least, most = np.ones_like(shape), _rounded(self.values, -np.inf), _rounded(self.values, np.inf)
+        side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0
-        while (side < shape).any() and entries < _MOST_ENTRIES:
+        while (side < shape).any() and entries < _MAX_ENTRIES:
             step = np.minimum(side, shape - side)
-            least, most = _joined(np.minimum, least, step), _joined(np.maximum, most, step)
+            least, most = _merge_windows(np.minimum, least, step), _merge_windows(np.maximum, most, step)
             side, entries = side + step, entries + 2 * least.size
             levels.append((side, least, most))
         return levels
 
 
-def _joined(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
+def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
     """Extremes of windows that are longer by a step along each axis, of two that overlap or touch."""
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)
@@ -504,7 +508,7 @@ def _joined(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -
     return np.ascontiguousarray(windows)
 
 
-def _rounded(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
+def _as_float32(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
     """Numbers in 32 bits, none moved but toward one side."""
     single = values.astype(np.float32)
     wrong = single < values if toward > 0 else single > values

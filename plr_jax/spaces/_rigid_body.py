@@ -14,7 +14,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.robots.robot import Robot, check_body, side_offsets
-from plr_jax.spaces._plane import BodySpace, Booleans, come_near, have_walls_within
+from plr_jax.spaces._plane import BodySpace, Booleans, near_walls, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 
 # Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it.
@@ -81,7 +81,9 @@ class RigidBodySpace(BodySpace):
         """
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _motions(half, 0.0))
+        has_room = motion_test(self.workspace, self.robot).has_room(
+            center[:, 0], center[:, 1], _motion_bounds(half, 0.0)
+        )
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
@@ -89,7 +91,7 @@ class RigidBodySpace(BodySpace):
             part = unsure[begin : begin + size]
             state[part[self._sweeps_free(center[part], half[part])]] = CellState.FREE
         unsure = unsure[state[unsure] == CellState.MIXED]
-        state[unsure[self._is_hit(center[unsure], half[unsure])]] = CellState.BLOCKED
+        state[unsure[self._is_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
@@ -97,7 +99,7 @@ class RigidBodySpace(BodySpace):
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
-        free[wide] = ~come_near(self.workspace, positions, self.robot.circumscribed_radius)
+        free[wide] = ~near_walls(self.workspace, positions, self.robot.circumscribed_radius)
         # Convex polygons around all that the core covers in the narrow boxes: the arc on which a vertex turns about
         # the reference point lies in the triangle of that point and of the arc's ends, moved out until their chord is
         # tangent to it.
@@ -109,18 +111,18 @@ class RigidBodySpace(BodySpace):
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
         points = points.reshape(len(center), 4 * (tips.shape[1] + 1), 2)
         hulls: Any = shapely.convex_hull(shapely.linestrings(points))
-        free[narrow] = ~come_near(self.workspace, hulls, self.robot.rounding)
+        free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
         return free
 
-    def _is_hit(self, center: Boxes, half: Boxes) -> Booleans:
+    def _is_blocked(self, center: Boxes, half: Boxes) -> Booleans:
         """Whether the body certainly overlaps obstacles, or the outside of the bounds, all over each box."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
         # About any of its points, a convex body scaled by 1 - m / depth, where that is the depth of the point, lies
         # within the body eroded by m. Wherever an eroded body is, the body still is after its points moved by m.
-        middle, depth = self._middle
-        erosion = _motions(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
+        middle, depth = self._deepest_point
+        erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         small = erosion < depth
         share = (1 - erosion[small] / depth)[:, None, None]
         eroded = _placed(middle + share * (self.robot.core - middle), center[small])
@@ -129,12 +131,12 @@ class RigidBodySpace(BodySpace):
         for point, depth in zip(*self._probes, strict=True):
             left = np.flatnonzero(~hit[rows])
             position = _placed(point[None], center[left])[:, 0]
-            spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[left]] = have_walls_within(self.workspace, position, spare)
+            spare = depth - _motion_bounds(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
+            hit[rows[left]] = walls_within(self.workspace, position, spare)
         return hit
 
     @cached_property
-    def _middle(self) -> tuple[Float[np.ndarray, "2"], float]:
+    def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
         """A point of the core that is nearly as deep in it as any, and how deep; 0 of a core without area."""
         core = self.robot.core
         if len(core) < 3:
@@ -147,7 +149,7 @@ class RigidBodySpace(BodySpace):
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
         """Points of the body, and radii of discs about them within it: the reference point first, vertices last."""
         core, rounding = self.robot.core, self.robot.rounding
-        middle, _ = self._middle
+        middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
         points = np.concatenate([middle[None], (middle + rim) / 2, rim])
         inside = side_offsets(core, points).min(axis=0) if len(core) > 2 else np.zeros(len(points))
@@ -155,7 +157,7 @@ class RigidBodySpace(BodySpace):
         return np.vstack([np.zeros((1, 2)), points]), np.append(self.robot.inscribed_radius, depths)
 
 
-def _motions(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
+def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
     """How far a point of the body at a radius moves at most from the center of each box."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 

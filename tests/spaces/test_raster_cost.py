@@ -154,7 +154,7 @@ def test_of_more_coordinates_the_leading_ones_count_and_what_is_not_finite_has_n
 @pytest.mark.parametrize("shape", [(1,), (37,), (1, 3), (17, 40), (3, 500), (9, 8, 11)], ids=str)
 @pytest.mark.parametrize("most_entries", [2**26, 1500])
 def test_a_sparse_table_has_the_extremes_of_blocks(shape, most_entries, monkeypatch):
-    monkeypatch.setattr("plr_jax.spaces._raster_cost._MOST_ENTRIES", most_entries)
+    monkeypatch.setattr("plr_jax.spaces._raster_cost._MAX_ENTRIES", most_entries)
     rng = np.random.default_rng(0)
     values = rng.integers(1, 1000, shape) * 1.0
     ends = np.sort(rng.integers(0, shape, (2, 200, len(shape))), axis=0)
