@@ -278,7 +278,7 @@ def of_bounds(answer):
             for b, message in (
                 (3.0, "be two arrays"),
                 ("low and high", "be"),
-                ((np.ones(1), np.ones(2)), "give one number a point"),
+                ((np.ones(1), np.ones(2)), "give one number per point"),
             )
         ),
     ],

@@ -220,7 +220,7 @@ def of_other(**changed):
     [
         ({"domain": 3}, r"domain must be a Box or its corners \(lo, hi\), got 3"),
         ({"clearance": 3}, r"clearance must be a function of configurations \(n, dof\), got 3"),
-        ({"clearance": lambda q: q}, r"clearance must give one number a point, shape \(1,\), got \(1, 3\)"),
+        ({"clearance": lambda q: q}, r"clearance must give one number per point, shape \(1,\), got \(1, 3\)"),
         ({"clearance": lambda q: q[:, 0] * np.nan}, r"clearance must return finite numbers, got nan at \[0.0, 0.0"),
         ({"lipschitz": -1.0}, "lipschitz must be a finite number of at least 0, got -1.0"),
         ({"lipschitz": [1, 1, -1]}, r"lipschitz must be at least 0 along each axis, got \[1.0, 1.0, -1.0\]"),

@@ -59,8 +59,8 @@ def test_bad_arguments_are_refused(arguments, message):
 @pytest.mark.parametrize(
     ("cost_fn", "message"),
     [
-        (lambda q: 1.0, r"one number a point, shape \(3,\), got \(\)"),
-        (lambda q: q, r"one number a point, shape \(3,\), got \(3, 2\)"),
+        (lambda q: 1.0, r"one number per point, shape \(3,\), got \(\)"),
+        (lambda q: q, r"one number per point, shape \(3,\), got \(3, 2\)"),
         (lambda q: np.array([1.0, 0.1, 1.0]), "finite numbers of at least 0.5, got 0.1 at"),
         (lambda q: np.array([1.0, np.nan, 1.0]), "got nan at"),
         (lambda q: np.array([1.0, 1.0, np.inf]), "got inf at"),
@@ -116,7 +116,7 @@ def test_a_steady_current_is_crossed_in_the_known_time():
         ((np.zeros((1, 3)), np.zeros((1, 2)), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
         ((np.zeros((1, 2)), np.full((1, 2), np.nan), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
         ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * np.ones(1), np.ones(1)), "least nowhere above most"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number a point"),
+        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number per point"),
     ],
 )
 def test_pulls_that_are_none_are_refused(pulls, message):
