@@ -1,9 +1,9 @@
-"""Distance functions over configuration spaces, compressed into kilobytes of planes.
+"""Compress distance functions over configuration spaces into kilobytes, and plan with them.
 
-A `DistanceFn` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
-be reached; a `HeuristicFn` answers costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``.
+A `DistanceFn` maps points ``(n, dim)`` to distances ``(n,)``, ``inf`` where the goal cannot be reached. A
+`HeuristicFn` maps joint configurations ``(n, robots, dof)`` to costs-to-go ``(n,)``.
 
-# Discover: how far is it?
+# Discover: compute exact distances
 
 ```python
 import plr_jax
@@ -12,29 +12,29 @@ workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4,
 oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 ```
 
-- Where: `Workspace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
-  `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
+- Maps: `Workspace` and `Box`; published scenes and file readers in `scenes`. Teams: `Problem` with a `Robot` each, a
+  `PointRobot`, `DiscRobot`, `RectangleRobot` or `PolygonRobot`.
 - Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `VoxelGraph`,
-  `NearestGoal`; `robot_distance_fns`, one for each robot.
-- Inside `jit`, on maps that are arrays and change: `grid_distance`, to a goal a `GridDistance`, else `GridDistances`.
-- Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, of any
-  robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which
-  tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`,
-  `LipschitzCost`, or your own `DirectionalCost`.
+  `NearestGoal`; `robot_distance_fns` makes one per robot of a problem.
+- Inside `jit`, on maps that are traced arrays: `grid_distance` returns a `GridDistance` to one goal, or
+  `GridDistances` between any two points.
+- Without an oracle: `solve_eikonal` needs only a space: `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, or
+  `ClearanceSpace` for any robot with a signed distance. Protocols for your own: `FreeTest`, `SeesBoxes`, and
+  `ConfigurationSpace` with `CellState`.
+- Costs of motions: `MotionCost`, and cost maps, which give a cost per unit of length: `CostMap`, `RasterCost`,
+  `LipschitzCost`, `DirectionalCost`.
 
-**Which axis of an array is which.** Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals,
-and the agents of `GridPairs.window`.
+**Axis order.** Points are always rows `(x, y)` or `(x, y, z)`.
 
-- Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest: `Workspace.from_mask`, `GridGraph`,
-  `construct_grid_pairs`, `grid_distance`, and what `GridPairs.window` returns.
-- Rasters of numbers are `values[row, column]` likewise, in space `values[z, y, x]`, the last axis along `x`:
-  `GridField`, `RasterCost`.
-- Voxels are `free[x, y, z]`, the first axis along `x`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`.
+- Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest `y`: `Workspace.from_mask`,
+  `GridGraph`, `construct_grid_pairs`, `grid_distance`, and the result of `GridPairs.window`. For a picture, whose
+  first row is the top, use `Workspace.from_mask(free, row0="top")`.
+- Rasters of numbers are `values[row, column]`, or `values[z, y, x]`, the last axis along `x`: `GridField`,
+  `RasterCost`. For a picture, use `values[::-1]`.
+- Voxels are `free[x, y, z]`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`. The transpose `.T` converts between
+  rasters and voxels.
 
-The first row of a picture is its top: use `Workspace.from_mask(free, row0="top")`, and `values[::-1]`. The transpose
-`.T` turns a raster into voxels and back.
-
-# Store: the answer in kilobytes
+# Store: compress distances into kilobytes
 
 ```python
 field = plr_jax.construct(oracle, workspace.bounds, max_bytes=1024, certified=True)
@@ -42,17 +42,16 @@ plr_jax.save(field, "field.plr")
 field = plr_jax.load("field.plr")
 ```
 
-- A `PLR` of one goal: `construct`, with many goals `construct_many`; of a changed map: `plr.updated`; proofs:
-  `certify`.
-- Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`;
-  `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
-  `pairs`.
-- Files: `save` and `load`, `from_bytes`; without JAX `load_numpy`, a `NumpyPLR`.
-- How `construct` works, `BuildOptions`: a `CellFit`, `least_squares`; `largest_error`,
-  `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, `construct` warns:
-  `ConstructionInterrupted`. Formats and arithmetic are in `plr`.
+- A `PLR` stores the distance to one goal: `construct`, or `construct_many` for many goals; `certify` adds proven
+  bounds; `plr.updated` follows a changed map.
+- Pairs store distances between any two points: `construct_pairs` returns a `PairPLR`, `construct_grid_pairs` returns
+  `GridPairs`, `construct_metric_pairs` returns `MetricPairs`; see `pairs`.
+- Files: `save`, `load` and `from_bytes`; without JAX, `load_numpy` returns a `NumpyPLR`.
+- Options of `construct`: `BuildOptions` with `CellFit`, `least_squares`, `largest_error`, `center_error`,
+  `maximum_depth`, `best_axis`, `cyclic_axis`. An interrupted build warns with `ConstructionInterrupted`. File formats
+  and arithmetic are documented in `plr`.
 
-# Use: in a batch, under a gradient, in a planner
+# Use: query batches, follow gradients, plan
 
 ```python
 import jax
@@ -63,25 +62,25 @@ distance, slope = field(x), jax.vmap(jax.grad(field))(x)
 lower, upper = field.bounds(x)
 ```
 
-- A PLR is called, which is `evaluate`; several at once: `stack` makes a `PLRStack`. `trace` reads paths from cones,
-  `Traces` with a `TraceStatus`.
-- `descend` follows a field to its goal (`Descent`, `DescentStatus`).
-- `bl_plan` plans for a team, with `BLOptions`, led by `zero`, `straight_line` or `sum_of_distances`; it returns a
-  `Solution`, with `Status` and `Stats`; a team that is under way: `replan`; goals that keep coming: `lifelong`, a
-  `LifelongRun`. `ompl_objective` leads planners of OMPL.
+- Queries: call a PLR, or use `evaluate`; `stack` combines several into a `PLRStack`.
+- Paths: `trace` returns the paths that cone leaves store, `Traces` with a `TraceStatus`; `descend` follows any field
+  to its goal, a `Descent` with a `DescentStatus`.
+- Teams: `bl_plan` plans with `BLOptions` and a heuristic (`zero`, `straight_line`, `sum_of_distances`) and returns a
+  `Solution` with `Status` and `Stats`. `replan` plans for a team in motion; `lifelong` replans as
+  robots get new goals, a `LifelongRun`. `ompl_objective` guides OMPL planners.
 
-# Look: is it right?
+# Look: check and draw results
 
 ```python
 print(plr_jax.metrics.error_map(field, oracle, x))
 plr_jax.plot.plot_contours(field, workspace=workspace, goal=(9, 1))
 ```
 
-- `metrics` measures errors, `plot` draws; `validate` checks a path by geometry of its own, a
-  `ValidationReport`; `path_cost` and `makespan` say what it costs and takes.
+- `metrics` measures errors, `plot` draws. `validate` checks a path with independent geometry and returns a
+  `ValidationReport`. `path_cost` and `makespan` evaluate paths.
 
-The names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and
-queries a PLR imports neither Shapely nor NetworkX nor Matplotlib, nor the slow parts of SciPy.
+The public names are listed in ``__init__.pyi`` and loaded on first use. A program that only loads and queries a PLR
+imports neither Shapely, NetworkX and Matplotlib nor the slow parts of SciPy.
 """
 
 import lazy_loader

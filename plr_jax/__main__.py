@@ -1,4 +1,4 @@
-"""``python -m plr_jax``: the command ``plr-jax``."""
+"""Run the command ``plr-jax`` as ``python -m plr_jax``."""
 
 from plr_jax.cli import main
 

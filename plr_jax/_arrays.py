@@ -1,7 +1,7 @@
-"""Arrays and numbers from outside: of the right shape and range, or an error that says what was expected.
+"""Checks of arguments from outside, ragged arrays, and other small helpers for NumPy arrays.
 
-In an error, values are called by their ``name``. NaN and infinity are let through where nothing else is said, an
-array of float64 is passed on as it is, and what has another shape or holds no real numbers raises ``ValueError``.
+The ``as_...`` functions return a checked value, or raise a ``ValueError`` that calls the value by ``name``. NaN and
+infinity pass unless stated otherwise. Float64 arrays are returned without a copy.
 """
 
 import math
@@ -18,12 +18,12 @@ from plr_jax._types import ArrayLike
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
-_LONGEST = 200
+_LONGEST = 200  # characters of a value in an error
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """A batch of points ``(n, dim)`` of any dimension, or of the one given, at least 1."""
+    """Return a batch of points ``(n, dim)``; without ``dim`` any dimension of at least 1 is allowed."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """One point ``(dim,)`` of any dimension, or of the one given, at least 1."""
+    """Return one point ``(dim,)``; without ``dim`` any dimension of at least 1 is allowed."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -43,7 +43,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """One point to be kept, such as a goal: a read-only copy, free of NaN and infinity."""
+    """Return a read-only copy of one finite point, such as a goal."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -52,17 +52,19 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """An array of any shape as one of float64; ``expected`` says in an error what it must be.
+    """Return an array of any shape as float64; ``expected`` describes it in errors.
 
-    Masked entries are refused: what lies under a mask is no number that anyone gave.
+    Masked entries are rejected, because the numbers under a mask are arbitrary.
     """
     try:
         numbers = np.asarray(value)
-        if value is None or numbers.dtype.kind in "cUSMm":  # NumPy reads texts and dates, and drops imaginary parts
+        if (
+            value is None or numbers.dtype.kind in "cUSMm"
+        ):  # NumPy converts strings and dates, and drops imaginary parts
             raise TypeError
         numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        hint = " Inside jit, call it by jax.pure_callback." if type(value).__module__.startswith("jax") else ""
+        hint = " Inside jit, use jax.pure_callback." if type(value).__module__.startswith("jax") else ""
         raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{hint}") from None
     if np.ma.is_masked(value):
         raise ValueError(f"{name} must be {expected}, and some are masked.")
@@ -70,14 +72,14 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 
 
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
-    """Points to be answered, of a dimension if it is given, as 32-bit or 64-bit floats; masked numbers are NaN."""
+    """Return query points as 32-bit or 64-bit floats; masked numbers become NaN."""
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
         points = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
-    if points.dtype.name.startswith(("bfloat", "float8")):  # of which NumPy does not know that they are floats
+    if points.dtype.name.startswith(("bfloat", "float8")):  # NumPy does not classify these as floats
         points = points.astype(np.float32)
     if points.dtype.kind not in "iubf":
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
@@ -87,57 +89,51 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
 
 
 def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
-    """Distances, or what passes for some, with ``inf`` for masked entries: from there the goal cannot be reached."""
+    """Replace masked distances by ``inf``, which means that the goal cannot be reached."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """What the function of some name said of ``n`` points, one number each, ``(n,)``.
-
-    Masked entries are no answer: ``inf``.
-    """
+    """Return the answer of a function for ``n`` points, one number each; masked entries become ``inf``."""
     values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
-        called = f"it is called with points ({n}, dim) at once"
-        raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}; {called}.")
+        called = f"it is called with a batch of points ({n}, dim)"
+        raise ValueError(f"{name} must give one number per point, shape ({n},), got {values.shape}; {called}.")
     return values
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
-    """What the test of some name said of ``n`` points, one boolean each, ``(n,)``; none may be masked."""
+    """Return the answer of a test for ``n`` points, one boolean each; masked entries are rejected."""
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
         raise ValueError(
-            f"{name} must return one boolean a point, shape ({n},), got {booleans.dtype} of shape {booleans.shape}"
+            f"{name} must give one boolean per point, shape ({n},), got {booleans.dtype} of shape {booleans.shape}"
             f"{masked}."
         )
     return booleans
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-    """What a distance function said of points: the one check of an oracle's answer.
-
-    As :func:`as_values`, but NaN and ``-inf`` are refused: ``inf`` is where the goal cannot be reached.
-    """
+    """Check the answer of a distance function like :func:`as_values`; NaN and ``-inf`` are rejected."""
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
     if bad.size:
         value = "NaN" if np.isnan(distances[bad[0]]) else "-inf"
-        raise ValueError(f"{name} gives {value} at {x[bad[0]].tolist()}; use inf for unreachable.")
+        raise ValueError(f"{name} gives {value} at {x[bad[0]].tolist()}; use inf for unreachable points.")
     return distances
 
 
 def require_integer(name: str, value: object, least: int) -> None:
-    """Raise ``ValueError`` if a value is not an integer that is large enough."""
+    """Raise ``ValueError`` unless a value is an integer of at least ``least``."""
     if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least):
         raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.")
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
-    """A real number in a range that comparisons tell, so not NaN; ``expected`` says in an error what it must be."""
+    """Return a real number for which ``in_range`` holds, so not NaN; ``expected`` describes it in errors."""
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with suppress(OverflowError):
@@ -148,54 +144,54 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
 
 
 def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """A finite number of at least 0, or above it."""
+    """Return a finite number of at least 0, or greater than 0."""
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Rows to fill an array of ``n`` up to, so that compiled functions see arrays of few sizes.
+    """Return the size to pad ``n`` rows to, so that functions are compiled for few sizes.
 
-    The least of the ``sizes``, which increase, that is at least ``n``; else the next power of two.
+    It is the smallest of the increasing ``sizes`` that is at least ``n``, or else the next power of two.
     """
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Up to an eighth more than ``n``, for large arrays that compiled functions are to see few sizes of."""
+    """Return a size to pad large arrays to: at most an eighth above ``n``, out of few sizes."""
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
 
 def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
-    """A copy of an array, filled up to ``size`` rows with what broadcasts to one row."""
+    """Return a copy of an array, padded to ``size`` rows with ``fill``."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)], result[len(rows) :] = rows, fill
     return result
 
 
 def as_bool(name: str, value: object) -> bool:
-    """A truth value; raises ``ValueError`` if it is none."""
+    """Return a boolean; other values are rejected."""
     if not isinstance(value, bool | np.bool):
         raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
     return bool(value)
 
 
 def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
-    """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
+    """Return the run of each item and its index in that run, for consecutive runs of given lengths."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
-    """Items in a row whose counts sum up to about ``most``, or one alone, together all of them."""
+    """Split items into consecutive slices whose counts sum to about ``most``."""
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
 def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
-    """Place of each wanted number among distinct known ones; -1 where it is none."""
+    """Return the index of each wanted value among distinct known values, or -1."""
     if not len(known):
         return np.full(len(wanted), -1)
     order = np.argsort(known)
@@ -206,13 +202,16 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Of runs that begin at ``first``, the items of some, and the place of each one's run among those asked for."""
+    """Return the items of some runs, and for each item the position of its run in ``which``.
+
+    Run ``i`` holds the items from ``first[i]`` to before ``first[i + 1]``.
+    """
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"]:
-    """Sum of each row from left to right: what libraries sum in blocks, they round as the processor has it."""
+    """Sum each row from left to right; ``np.sum`` adds in blocks, which rounds differently across CPUs."""
     total = terms[:, 0].copy()
     for column in terms.T[1:]:
         total += column
@@ -220,7 +219,7 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"
 
 
 def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "terms m"]) -> Float[np.ndarray, "n m"]:
-    """The product ``a @ b``, each entry summed from left to right, on any processor alike."""
+    """Return ``a @ b`` with each entry summed from left to right, so that all CPUs round equally."""
     total = np.zeros((len(a), b.shape[1]))
     for column, row in zip(a.T, b, strict=True):
         total += column[:, None] * row
@@ -228,7 +227,7 @@ def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "term
 
 
 def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
-    """A hash of each number, in which every bit depends on all of its.
+    """Hash integers so that every output bit depends on all input bits.
 
     References:
         Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
@@ -240,50 +239,44 @@ def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np
 
 
 def format_numbers(numbers: Float[np.ndarray, "n"]) -> list[float]:
-    """Numbers as a message tells them: to 12 digits, without what arithmetic made of the last ones."""
+    """Round numbers to 12 digits for messages, which hides rounding errors."""
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 
 
 def set_fields(value: object, **fields: object) -> None:
-    """Set the fields of a frozen dataclass while its ``__init__`` runs."""
+    """Set fields of a frozen dataclass in its ``__init__``."""
     for name, each in fields.items():
         object.__setattr__(value, name, each)
 
 
-_CHANGES = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")
+_MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")
 
 
 def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
-    """The error of an attribute that is missing, with what to do where its name is that of a change."""
-    advice = f" {when_changed}" if name.startswith(_CHANGES) else ""
+    """Return the error of a missing attribute, with advice if its name is that of a mutating method."""
+    advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
 
 
 def require_function(name: str, value: object) -> None:
-    """``ValueError`` unless it can be called."""
+    """Raise ``ValueError`` unless a value can be called."""
     if not callable(value):
         raise ValueError(f"{name} must be a function, got {shortened(value)}.")
 
 
 def shortened(value: object) -> str:
-    """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
+    """Return the ``repr`` of a value for an error, cut to 200 characters without building the rest."""
     try:
         text = _REPR.repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, lists without end
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a recursive list
         text = f"a very large {type(value).__name__}"
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
-# Ends of time limits, on the clock of ``time.perf_counter``.
-
-
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
-    """Raise ``TimeoutError`` if so many seconds are not left before a deadline.
+    """Raise ``TimeoutError`` unless ``seconds`` are left before a deadline of ``time.perf_counter``.
 
-    Args:
-        deadline: The time that must not be passed.
-        purpose: What is not done if it is, as the message says after "before".
-        seconds: How long what follows takes that cannot be cut short.
+    The message says that the deadline passed before ``purpose``.
     """
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

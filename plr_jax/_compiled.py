@@ -1,4 +1,4 @@
-"""The cores of this machine, and batches that are answered on all of them, part by part."""
+"""Running a compiled function on a batch in parts, on all CPU cores."""
 
 import os
 from collections.abc import Callable
@@ -12,16 +12,16 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded
 
-_PARTS = 8  # at most, of few rows
+_PARTS = 8  # a batch of at most this many small parts uses the small size
 
 
 def num_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Whether arrays are in the memory of one CPU, none of them is traced, and answers stay there."""
+    """Return whether arrays lie in the memory of one CPU and none is traced, so that results stay there."""
     if any(isinstance(each, Tracer) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
@@ -31,13 +31,14 @@ def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
 def answered_in_parts(
     answer: Callable[..., tuple[Array, ...]], sizes: tuple[int, int], *rows: Shaped[np.ndarray, "..."]
 ) -> tuple[np.ndarray, ...]:
-    """What a compiled function answers of each row of some arrays, in parts of one size, on all cores.
+    """Apply a compiled function to the rows of arrays, in equally large parts on all cores.
 
     Args:
-        answer: From ``n`` rows of each array, ``(n, width)``, to arrays ``(n,)``; compiled for each ``n``.
-        sizes: How many rows a part of few has, and of many: all sizes that are compiled. The last part is filled up
-            with zeros.
-        *rows: The arrays, ``(*batch, width)``, whose batches broadcast; the widths may differ.
+        answer: Function from ``n`` rows of each array, ``(n, width)``, to arrays ``(n,)``; compiled once for each
+            ``n``.
+        sizes: Rows in a part of a small and of a large batch: the only sizes compiled. The last part is padded with
+            zeros.
+        *rows: Arrays ``(*batch, width)`` whose batches broadcast; widths may differ.
 
     Returns:
         The answers, ``(*batch,)`` each.
@@ -58,14 +59,14 @@ def answered_in_parts(
             else each[np.unravel_index(np.arange(first, last), batch)]
             for each in whole
         ]
-        with jax.enable_x64(has_doubles):  # which may hold of the calling thread alone
+        with jax.enable_x64(has_doubles):  # the setting may be local to the calling thread
             answers = answer(*(padded(each, size) for each in part))
         if not results:
             results.extend(np.empty(count, each.dtype) for each in answers)
         for result, each in zip(results, answers, strict=True):
             result[first:last] = np.asarray(each)[: last - first]
 
-    of_part(0)  # it compiles, and tells what the answers are
+    of_part(0)  # compiles, and reveals the types of the answers
     if count <= size:
         return tuple(result.reshape(batch) for result in results)
     pool = ThreadPoolExecutor(num_cores())

@@ -1,8 +1,7 @@
-"""Text, JSON and YAML from outside: bounded before it is parsed, and wrong in one way only, by a ``ValueError``.
+"""Safe reading of text, JSON and YAML files, and atomic writing of files.
 
-A document holds at most 16 MiB, if nothing else is said, lists and mappings at most 32 deep, and integers that a
-float64 can stand for. A YAML document has no aliases, by which few bytes could mean any number of values, and no
-tags.
+Readers bound the size, nesting and integers of a document, and raise only ``ValueError`` for bad content. YAML
+aliases and tags are rejected: aliases let a few bytes expand to any size.
 """
 
 import json
@@ -22,23 +21,23 @@ from plr_jax._arrays import shortened
 
 _MOST_BYTES = 2**24
 _MOST_NESTED = 32
-_LONGEST_WORD = 1000  # unquoted characters of YAML: what they mean may take the square of their number to find out
+_LONGEST_WORD = 1000  # unquoted characters of YAML; resolving their type may take quadratic time
 _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
 def file_path(path: object) -> Path:
-    """The name of a file as a path; ``ValueError`` if it is none, such as a file descriptor or what a file holds."""
+    """Return the name of a file as a path; ``ValueError`` for other types, such as bytes or a file descriptor."""
     if not isinstance(path, str | os.PathLike):
         got = f"{shortened(path)}."
         if isinstance(path, bytes | bytearray | memoryview):
-            got = f"{len(path):,} bytes. What a PLR's file holds is read by from_bytes."
+            got = f"{len(path):,} bytes. For the content of a PLR's file use from_bytes."
         raise ValueError(f"path must be the name of a file, a str or a Path, got {got}")
     return Path(os.fsdecode(path))
 
 
 @contextmanager
 def errors_named(path: Path) -> Iterator[None]:
-    """Let every ``ValueError`` about what a file holds begin with the file's name."""
+    """Prefix every ``ValueError`` about the content of a file with the file's name."""
     try:
         yield
     except ValueError as error:
@@ -46,7 +45,7 @@ def errors_named(path: Path) -> Iterator[None]:
 
 
 def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
-    """The text of a file in UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
+    """Read a file as UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
     with path.open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:
@@ -58,18 +57,18 @@ def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
-    """The value that a JSON file stands for; ``ValueError`` if it is no JSON, or beyond the bounds above."""
+    """Read a JSON file; ``ValueError`` if it is invalid or exceeds the limits of this module."""
     text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"expected JSON, got something else or a damaged file ({error}).") from None
-    _require_modest(value)
+    _require_limits(value)
     return value
 
 
 def yaml_of(path: Path) -> Any:
-    """The value that a YAML file stands for; ``ValueError`` if it is none of plain values, or beyond the bounds."""
+    """Read a YAML file of plain values; ``ValueError`` if it is invalid or exceeds the limits of this module."""
     import yaml
 
     text, loader = text_of(path), _loader()
@@ -78,7 +77,7 @@ def yaml_of(path: Path) -> Any:
         value = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"expected YAML ({error}).") from None
-    _require_modest(value)
+    _require_limits(value)
     return value
 
 
@@ -91,14 +90,14 @@ def _loader() -> Any:
     class Loader(fastest):
         pass
 
-    # YAML 1.1 takes 1e-05 for a word, but that is how C++ writes numbers.
+    # YAML 1.1 reads 1e-05 as a string, but C++ writes numbers like this.
     number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$", re.ASCII)
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
     return Loader
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Refuse what is not a file of a kind, such as "scene", of at most this version and with some keys."""
+    """Raise ``ValueError`` unless a document is of a kind, such as "scene", of a known version, with all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     found = document.get("version")
@@ -112,12 +111,12 @@ def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) 
 
 
 def format_name(kind: str) -> str:
-    """What a JSON file of a kind, such as "scene", holds under "format"."""
+    """Return the value of "format" in a JSON file of a kind, such as "scene"."""
     return f"plr_jax {kind}"
 
 
 def _require_plain(events: Iterator[Any]) -> None:
-    """Refuse what the parser of YAML would follow too far: it recurses, copies aliases, and reads endless words."""
+    """Reject YAML that the parser would expand without limit: deep nesting, aliases, tags, long words."""
     import yaml
 
     nested = 0
@@ -126,13 +125,13 @@ def _require_plain(events: Iterator[Any]) -> None:
         _require_shallow(nested)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
             raise ValueError(
-                f"neither aliases nor tags are read; write the value itself, line {event.start_mark.line + 1}"
+                f"neither aliases nor tags are read, got one in line {event.start_mark.line + 1}: write the value"
             )
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
             raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
 
 
-def _require_modest(value: Any) -> None:
+def _require_limits(value: Any) -> None:
     level, nested = [value], 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):
@@ -149,28 +148,25 @@ def _require_shallow(nested: int) -> None:
         raise ValueError(f"expected lists and mappings at most {_MOST_NESTED} deep, got deeper ones")
 
 
-# Files that are complete or absent.
-
-
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that at no time a part of it stands under its name, not even after a crash.
+    """Write a file so that it is always complete, even after a crash: write a temporary file, then rename it.
 
-    A symbolic link is followed; a device or a pipe is written to. A file that is replaced keeps its permissions.
-
-    Raises:
-        OSError: If the file cannot be written; it names the path as given. An older file is as it was.
+    A symbolic link is followed, and a replaced file keeps its permissions. Data for a device or pipe is written
+    directly. An ``OSError`` names the given path, and leaves an older file unchanged.
     """
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
         mode = None
     if mode is not None and not stat.S_ISREG(mode):
-        path.write_bytes(data)  # a device or a pipe, which must not be replaced
+        path.write_bytes(data)  # a device or pipe must not be replaced
         return
-    target = path.resolve()  # what a symbolic link points to, not the link
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")  # short, however long the target's name is
+    target = path.resolve()  # replace the target of a symbolic link, not the link
+    temporary = target.with_name(
+        f".{secrets.token_hex(8)}.tmp"
+    )  # short, in case the target's name has the maximum length
     try:
-        with open(temporary, "xb") as file:  # whose permissions are those of any new file
+        with open(temporary, "xb") as file:
             if mode is not None:
                 os.chmod(temporary, stat.S_IMODE(mode))
             file.write(data)
@@ -181,5 +177,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         with suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno is not None:
-            raise OSError(error.errno, error.strerror, os.fspath(path)) from error  # not the temporary one
+            raise OSError(
+                error.errno, error.strerror, os.fspath(path)
+            ) from error  # name the given path, not the temporary one
         raise

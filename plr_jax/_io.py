@@ -1,4 +1,4 @@
-"""PLRs, pairs and grids saved to files and loaded from them: a file says what it holds."""
+"""Saving PLRs, pairs and grid pairs to files, and loading any of them."""
 
 import os
 from typing import Any
@@ -12,17 +12,17 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 
 
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
-    """Write a PLR, or pairs of points or of cells of a grid, to a file of ``plr.num_bytes`` bytes.
+    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes.
 
-    The formats are documented in ``plr_jax/plr/container.py`` and ``plr_jax/pairs/grid_pairs.py``. The file is
-    complete or absent: it is written under another name first, then renamed.
+    The file is written atomically: it is complete or absent. The formats are documented in
+    ``plr_jax/plr/container.py`` and ``plr_jax/pairs/grid_pairs.py``.
 
     Args:
-        plr: What to save; of a ``MetricPairs`` its ``plr``.
+        plr: What to save; for a ``MetricPairs``, save its ``plr``.
         path: The file.
 
     Raises:
-        ValueError: If it is none of these, or the path no name of a file.
+        ValueError: If ``plr`` has another type, or the path is not a file name.
         OSError: If the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
@@ -31,20 +31,18 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read what :func:`save` wrote, whatever it is; it answers alike, bit for bit, and has the same ``to_bytes()``.
+    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
 
-    What a query of a PairPLR reads is many times as large as the file, and made when it is first asked: of thousands
-    of corners that takes seconds to minutes.
+    It gives the same answers, bit for bit, and has the same ``to_bytes()``. The query tables of a PairPLR are many
+    times larger than its file. They are built by the first query, which takes seconds to minutes with thousands of
+    corners.
 
     Args:
         path: The file.
 
-    Returns:
-        A PLR, a PairPLR or GridPairs.
-
     Raises:
-        ValueError: If the file is truncated, corrupt, none of these, or of another version of the format, or if the
-            path is no name of a file.
+        ValueError: If the file is truncated, corrupt, of another kind or format version, or the path is not a file
+            name.
         OSError: If the file cannot be read.
     """
     path = file_path(path)

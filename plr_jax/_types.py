@@ -1,4 +1,4 @@
-"""Array aliases and the function types in which discovering, storing and using distance meet."""
+"""Array types and protocols of functions, through which oracles, PLRs and planners work together."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,37 +8,33 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 ArrayLike: TypeAlias = Any
-"""Whatever ``numpy.asarray`` accepts; checked, with a clear error, where it comes in."""
+"""Anything that ``numpy.asarray`` accepts; public functions check it."""
 
 Points: TypeAlias = Float[np.ndarray, "n dim"]
-"""A batch of points (configurations) on the host, one a row."""
+"""A batch of points (configurations) on the host, one per row."""
 
 Distances: TypeAlias = Float[np.ndarray, "n"]
-"""One distance a point, in workspace units; ``inf`` where the goal cannot be reached."""
+"""One distance per point, in workspace units; ``inf`` where the goal cannot be reached."""
 
 DistanceFn: TypeAlias = Callable[[Points], Distances]
-"""Distance to a goal for a batch of points.
+"""A function from points ``(n, dim)`` to distances ``(n,)`` to a goal.
 
-``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain or
-the bounds. A masked entry of an answer means the same. An oracle never answers NaN or a negative number; where a
-coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little below zero near the goal, answers
-``inf`` outside its domain and NaN where a coordinate is NaN, and knows nothing of obstacles. Who uses a distance
-function must cope with both.
+``inf``, or a masked entry, means that the goal cannot be reached: the point is disconnected from it, in an obstacle,
+or outside the bounds. An oracle never returns NaN or negative numbers; it returns ``inf`` where a coordinate is NaN.
+A PLR may be slightly negative near the goal, returns ``inf`` outside its domain and NaN where a coordinate is NaN,
+and ignores obstacles. Users of a distance function must handle both.
 
-What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
+Optional protocols: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
 :class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
-"""A batch of joint configurations on the host, one a row."""
+"""A batch of joint configurations on the host, one per row."""
 
 
 @runtime_checkable
 class DimensionedFn(Protocol):
-    """A distance function that says how many coordinates it takes, as oracles and PLRs do.
-
-    Of configurations of more coordinates it is shown the leading ``dim``, a function without ``dim`` all of them.
-    """
+    """A distance function of ``dim`` coordinates; callers with longer configurations pass the leading ones."""
 
     @property
     def dim(self) -> int: ...
@@ -56,9 +52,9 @@ class FunctionOfBox(Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function that is one piece in each of many boxes, such as a PLR.
+    """A function with one piece in each of the boxes that fill its ``domain``, such as a PLR.
 
-    The boxes fill the ``domain``; ``leaf_boxes`` are their lower and upper corners, ``(leaves, dim)`` each.
+    ``leaf_boxes`` holds the lower and upper corners of the boxes, ``(leaves, dim)`` each.
     """
 
     @property
@@ -67,13 +63,12 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Points that distances run through: the distance of a point is that of a source and the straight way to it.
+    """Points through which shortest paths run: a point's distance is that to a source plus the source's distance.
 
     Attributes:
-        points: Where they are.
-        distances: Their own distances to the goal; ``inf`` for those that do not reach it.
-        parents: The source that each one's shortest path goes to next; its own index for the goal, and for those that
-            do not reach it.
+        points: Positions of the sources.
+        distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
+        parents: Next source on each source's shortest path; its own index for the goal and for unreachable sources.
     """
 
     points: Float[np.ndarray, "sources dim"]
@@ -82,38 +77,37 @@ class Sources:
 
 
 CellSources: TypeAlias = Any
-"""Which points the shortest paths from cells of the plane go to first: ``plr_jax.geometry.cell_sight.CellSources``.
+"""``plr_jax.geometry.cell_sight.CellSources``: the first sources on shortest paths from cells of the plane.
 
-Code that works without Shapely names the class by this alias.
+This alias lets code without Shapely name the class.
 """
 
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that answers for whole cells, at once for several of the same kind: they are a family."""
+    """A distance function that can find the sources of cells jointly with other functions of its family."""
 
     @property
     def family(self) -> Any:
-        """An object that is the same for all functions of a family, and for no other."""
+        """An object that identifies the family: the same for all its functions, and for no others."""
         ...
 
     def shared_cells(self, domain: Any, lo: Any, hi: Any, /) -> Any:
-        """What all of a family share of some boxes in a domain."""
+        """Return the data of boxes in a domain that all functions of the family share."""
         ...
 
     @staticmethod
     def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Sources of these boxes for some of a family.
+        """Return the sources of shared cells for several functions of the family.
 
-        Returns:
-            The distinct ones as ``FamilySources``, their keys, and which of them each box is for each
-            function, ``(fns, boxes)``, -1 where nothing reaches the goal.
+        The result is the distinct sources as ``FamilySources``, their keys, and the index of the sources of each box
+        for each function, ``(fns, boxes)``, -1 where the goal cannot be reached.
         """
         ...
 
     @property
     def sources(self) -> Sources:
-        """The goal, then the corners."""
+        """The goal, followed by the corners."""
         ...
 
     def cell_sources(self, domain: Any, /) -> CellSources: ...
@@ -122,10 +116,10 @@ class FamilyFn(Protocol):
 
 @runtime_checkable
 class CellwiseFn(Protocol):
-    """A distance function in the plane that answers for whole cells, without samples."""
+    """A distance function in the plane that can find the sources of whole cells, without samples."""
 
     def cell_sources(self, domain: Any, /) -> CellSources:
-        """Those of a Box as one cell."""
+        """Return the sources of a Box, taken as one cell."""
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -133,23 +127,23 @@ class CellwiseFn(Protocol):
 
 @runtime_checkable
 class ChangingFn(CellwiseFn, Protocol):
-    """A distance function in the plane that says how it differs from the one before its map changed."""
+    """A distance function in the plane that can compare itself with its version before the map changed."""
 
     @property
     def sources(self) -> Sources: ...
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
-        """Those of boxes as cells, whatever the boxes are parts of."""
+        """Return the sources of boxes, each taken as one cell."""
         ...
 
     def changed_since(self, before: Any, /) -> Any:
-        """How distances have changed: a ``ChangedDistances``; ``ValueError`` if they cannot be compared."""
+        """Return how distances changed, a ``ChangedDistances``; ``ValueError`` if not comparable."""
         ...
 
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function that says which points are free, so that those can be told that do not reach the goal."""
+    """A distance function that says which points are free, so that unreachable ones can be told apart."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -157,28 +151,25 @@ class FreeSpaceFn(Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(Protocol):
-    """A distance function of a type whose functions can be called all at once, one a robot; a PLR is one."""
+    """A distance function whose type can evaluate several of its functions in one call, as a PLR."""
 
     def __call__(self, x: Any, /) -> Any:
-        """Distances of points, as a :data:`DistanceFn`."""
+        """Return distances of points, as a :data:`DistanceFn`."""
         ...
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
-        """One function for a team, of joint configurations ``(n, robots, dof)`` to distances ``(n, robots)``.
+        """Combine one function of this type per robot into a single function.
 
-        Args:
-            fns: One distance function a robot, all of this type.
-
-        Returns:
-            The function. What it answers for a robot is what that robot's function would answer.
+        It maps joint configurations ``(n, robots, dof)`` to distances ``(n, robots)``, equal to those of the single
+        functions.
         """
         ...
 
 
 @runtime_checkable
 class BoundingFn(Protocol):
-    """A distance function, or a heuristic, that says whether it is a lower bound: nowhere above the truth."""
+    """A distance function or heuristic that says whether it never exceeds the true value."""
 
     @property
     def is_lower_bound(self) -> bool: ...
@@ -187,11 +178,11 @@ class BoundingFn(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """An affine map of points that keeps the lengths between them: ``x`` to ``matrix @ x + offset``.
+    """An isometry that maps a point ``x`` to ``matrix @ x + offset``.
 
     Attributes:
         matrix: An orthogonal matrix.
-        offset: What is added; where a coordinate is an angle, the sum is one modulo a whole turn.
+        offset: The translation; coordinates that are angles count modulo a full turn.
     """
 
     matrix: Float[np.ndarray, "dim dim"]
@@ -199,15 +190,15 @@ class Symmetry:
 
     @classmethod
     def about(cls, point: Float[np.ndarray, "dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
-        """That with a matrix which leaves a point where it is."""
+        """Return the isometry with a matrix that leaves a point fixed."""
         return cls(matrix, point - matrix @ point)
 
 
 @runtime_checkable
 class SymmetricFn(Protocol):
-    """A distance function that states symmetries: the distance of a point is that of its image, up to rounding.
+    """A distance function with known symmetries: points and their images have equal distances, up to rounding.
 
-    They are generators: one after the other, in any order, they are symmetries as well.
+    The symmetries are generators: all their compositions are symmetries as well.
     """
 
     @property
@@ -217,18 +208,16 @@ class SymmetricFn(Protocol):
 
 @runtime_checkable
 class HeuristicFn(Protocol):
-    """Estimated cost-to-go, a sum over robots: planners evaluate its terms once a robot's configuration.
+    """An estimate of the cost-to-go of joint configurations: a sum of one term per robot.
 
-    Never NaN; ``inf``, or masked, where it has no estimate. It may be a :class:`BoundingFn` besides.
+    It is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate each term only once
+    per configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]:
-        """The sum of the terms, of a batch of joint configurations ``(n, robots, dof)``."""
+        """Return the sum of the terms, ``(n,)``, for joint configurations ``(n, robots, dof)``."""
         ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Its terms, of joint configurations ``(n, robots, dof)``, never NaN.
-
-        Each may depend on its own robot's configuration alone.
-        """
+        """Return the terms, ``(n, robots)``; each depends only on its own robot's configuration."""
         ...

@@ -180,7 +180,7 @@ def test_no_starts_and_no_corners(space):
         (nothing_known, DOOR, np.zeros((1, 3)), (8, 2), None, "starts must have shape"),
         (nothing_known, DOOR, [(1, 1)], (8, 2, 0), None, "The goal must be one point"),
         (nothing_known, DOOR, [(1, 1)], (5, 2), None, "The goal .* not in free space"),
-        (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number a point"),
+        (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number per point"),
         (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),

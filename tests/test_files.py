@@ -48,7 +48,7 @@ HOSTILE = {
     ],
     "a.map": [
         (HEADER.format("9" * 5000), MANY_DIGITS),
-        (HEADER.format("9" * 50), "cut short"),
+        (HEADER.format("9" * 50), "as the header says"),
         (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
     ],
     "a.scen": [

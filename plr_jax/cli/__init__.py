@@ -28,7 +28,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not a job in the background
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
-    sys.unraisablehook = _send_again
+    sys.unraisablehook = _resend_lost_signal
     try:
         load_app()()
     except KeyboardInterrupt:
@@ -50,7 +50,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt if interrupted else SystemExit(TERMINATED_EXIT)
 
 
-def _send_again(lost: "sys.UnraisableHookArgs") -> None:
+def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
     """Send a signal again if its exception was lost in a callback of the garbage collector, as JAX has."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:

@@ -105,7 +105,7 @@ def reason_of(error: OSError | ValueError) -> str:
 
 
 @contextmanager
-def saying(what: str) -> Iterator[None]:
+def progress(what: str) -> Iterator[None]:
     """Show on a terminal what is being done, until it is done."""
     if not sys.stderr.isatty():
         yield

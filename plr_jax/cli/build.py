@@ -11,7 +11,7 @@ from jaxtyping import Bool
 
 import plr_jax
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli.app import command, finish_or_stop, saying
+from plr_jax.cli.app import command, finish_or_stop, progress
 from plr_jax.cli.inputs import (
     DEFAULT_BYTES,
     DropSpecksOption,
@@ -90,7 +90,7 @@ def build(
 
     # 1. Read the map, and find its exact oracle.
     named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons, radius)
-    with saying(f"reading {map}"):
+    with progress(f"reading {map}"):
         workspace, goal_point = named.read()
     if goal_point is None:
         raise ValueError(
@@ -98,7 +98,7 @@ def build(
         )
     if (free := named.free_pixels()) is not None:
         typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
-    with saying("finding what corners see"):
+    with progress("finding what corners see"):
         oracle = plr_jax.VisibilityGraph(workspace, goal_point)
 
     # 2. Construct. The file has room for its label.
@@ -148,7 +148,7 @@ def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
 
 def _print_errors(plr: "PLR", oracle: "VisibilityGraph", seed: int) -> None:
     """Print the proven error, and the error that is measured at random free points."""
-    with saying("measuring the error"):
+    with progress("measuring the error"):
         points = oracle.workspace.sample_free(_ERROR_POINTS, seed)
         report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)
     typer.echo(f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven")

@@ -114,7 +114,7 @@ class NamedMap:
     radius: float | None = None
 
     def __str__(self) -> str:
-        return shlex.join([self.name, *(f"{option_of(key)}={value}" for key, value in self.given().items())])
+        return shlex.join([self.name, *(f"{option_of(key)}={value}" for key, value in self.given_options().items())])
 
     @classmethod
     def parse(cls, text: str) -> "NamedMap":
@@ -132,7 +132,7 @@ class NamedMap:
             raise ValueError(f"expected a map and options of it, got {text!r}.")
         return named
 
-    def given(self) -> dict[str, Any]:
+    def given_options(self) -> dict[str, Any]:
         """Return the options that are given, by field name."""
         fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {key: value for key, value in fields_of_map.items() if value is not None}
@@ -159,7 +159,7 @@ class NamedMap:
                 "VoxelSpace(scenes.read_volume(...))."
             )
         goal = None if self.goal is None else parse_goal(self.goal)
-        reading = {key: value for key, value in self.given().items() if key not in ("goal", "radius")}
+        reading = {key: value for key, value in self.given_options().items() if key not in ("goal", "radius")}
         if self.name not in SCENES and not Path(self.name).suffix:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         if self.name in SCENES or (Path(self.name).suffix == ".json" and scenes.is_scene(self.name)):
@@ -216,7 +216,7 @@ def read_map_of_file(
     if map_text is not None:
         named = NamedMap.parse(map_text)
         if labeled is not None and Path(named.name).name == Path(labeled.name).name:
-            named = replace(labeled, name=named.name, **named.given())
+            named = replace(labeled, name=named.name, **named.given_options())
         elif labeled is not None:
             named = replace(named, goal=named.goal or labeled.goal)
     elif labeled is not None:

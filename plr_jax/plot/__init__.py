@@ -1,10 +1,9 @@
-"""Pictures of piecewise linear regressions, their errors, workspaces, problems, and paths, still or in motion.
+"""Pictures, animations and web pages of PLRs, errors, workspaces, problems and paths.
 
-Every ``plot_`` function draws on the axes it is given, or on a new figure of its own, and returns the axes;
-:func:`save` writes the picture. :func:`slices` draws functions of three or more dimensions in a figure of their own,
-and :func:`animate` sets a path in motion. :func:`page` makes a page of a distance function, which can be asked.
-Figures are made without pyplot, so no global state changes. They have an opaque white page with dark ink, which stays
-legible when the picture is set into a dark page, and use colors that color-blind readers can tell apart.
+Every ``plot_`` function draws on the given axes, or on a new figure, and returns the axes; :func:`save` writes the
+picture. :func:`slices` draws functions of three or more dimensions, :func:`animate` shows a path in motion, and
+:func:`page` makes an interactive web page of a distance function. Figures are made without pyplot, so no global state
+changes. They have a white background, also on dark pages, and colors that color-blind readers can tell apart.
 """
 
 from plr_jax.plot._animation import Animation, animate

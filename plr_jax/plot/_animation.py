@@ -1,4 +1,4 @@
-"""Paths in motion: GIFs, and pages that play them."""
+"""Animations of paths: GIF files, and web pages that play a path."""
 
 import io
 import json
@@ -22,14 +22,14 @@ from plr_jax.plot._axes import new_axes
 from plr_jax.plot._page import (
     BORDER,
     PLAY,
-    document,
-    framed,
+    asset,
+    html_document,
+    in_iframe,
     obstacles_path,
-    part,
     pixel_scale,
     pixels,
     view_box,
-    view_of,
+    view_parameters,
 )
 from plr_jax.plot._paths import (
     Timeline,
@@ -39,9 +39,9 @@ from plr_jax.plot._paths import (
     body_outline,
     color_of,
     drawn_rounding,
-    front,
+    front_sides,
+    heading_bar,
     ink_on,
-    nose,
     number_size,
     outline,
     timeline,
@@ -49,12 +49,9 @@ from plr_jax.plot._paths import (
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots.robot import placed
 
-# A page that plays a path.
-
-
 _CONTROLS, _PADDING = 28, 6
-HOLD = 1.2  # seconds between the end and the next round
-_SMALLEST_NUMBERED = 10.0  # pixels across a body that carries a number
+HOLD = 1.2  # seconds of pause at the end before the animation repeats
+_SMALLEST_NUMBERED = 10.0  # pixels across the smallest body whose number is drawn inside
 _CONTROLS_OF_TIME = f"""<div class="controls">
   {PLAY}
   <input id="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
@@ -63,15 +60,15 @@ _CONTROLS_OF_TIME = f"""<div class="controls">
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """Return a page that plays a path, as HTML."""
+    """Return a web page that plays a path, as HTML."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
-    script = part("clock.js") + part("player.js").replace("{{motion}}", content)
-    return document(f"Path of {len(problem.robots)} robots", part("player.css"), body, script)
+    script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
+    return html_document(f"Path of {len(problem.robots)} robots", asset("player.css"), body, script)
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return what the script needs to know of the path; coordinates to a twentieth of a pixel or finer."""
+    """Return the path for ``player.js``, with coordinates rounded to at most a twentieth of a pixel."""
 
     def short(value: float, digits: int) -> float | int:
         rounded = round(float(value), digits)
@@ -83,7 +80,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     return {
         "seconds": seconds,
         "hold": HOLD,
-        "view": view_of(bounds),
+        "view": view_parameters(bounds),
         "duration": motion.duration,
         "times": [short(share, 6) for share in motion.times / motion.duration],
         "steps": [
@@ -97,7 +94,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return the picture at time 0. The script moves robots and trails, which it finds by their names."""
+    """Return the picture at time 0; the script moves robots and trails, which it finds by their ids."""
     bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
@@ -105,18 +102,18 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     tracks, goals, trails, bodies = [], [], [], []
     for i, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
         color = color_of(i)
-        line = f'stroke="{color}" style="--color:{color}"'  # a dark page lightens lines
-        # 1. The whole track as a thin line, and the trail, which grows.
+        line = f'stroke="{color}" style="--color:{color}"'  # lines get lighter on dark pages
+        # 1. Draw the whole track as a thin line, and the trail, which grows with time.
         points = f'points="{pixels(bounds, motion.configurations[:, i, :2])}"'
         tracks.append(f'<polyline class="track" {line} {points}/>')
         trails.append(f'<polyline class="trail" id="trail{i}" stroke-dasharray="0 1" {line} {points}/>')
-        # 2. The goal as a dashed outline, whose front is a line without gaps.
+        # 2. Draw the goal as a dashed outline with a solid front.
         points = pixels(bounds, outline(robot, goal, bounds))
         goals.append(f'<polygon class="halo" points="{points}"/><polygon class="goal" {line} points="{points}"/>')
         if robot.dof == 3:
-            ahead = pixels(bounds, placed(robot, front(robot, bounds), goal))
+            ahead = pixels(bounds, placed(robot, front_sides(robot, bounds), goal))
             goals[-1] += f'<polyline class="front" {line} points="{ahead}"/>'
-        # 3. The body about the origin, which turns, and its number, which stays upright.
+        # 3. Draw the body around the origin, to be rotated, and its number, which stays upright.
         radius = scale * drawn_rounding(robot, bounds)
         if robot.core.any():
             points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
@@ -124,7 +121,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
         else:
             body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
         if robot.dof == 3:
-            (x, y0), (_, y1) = scale * nose(robot, bounds)
+            (x, y0), (_, y1) = scale * heading_bar(robot, bounds)
             body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
         number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
         if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
@@ -137,21 +134,21 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     return f'<svg viewBox="{view_box(bounds)}" role="img" aria-label="{label}">\n{shapes}\n</svg>'
 
 
-_MARGIN, _DPI = 0.08, 120  # inches, pixels an inch
-_LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with
-_PACK = np.array([65536, 256, 1], dtype=np.uint32)  # three bytes of a color as one number
+_MARGIN, _DPI = 0.08, 120  # inches, pixels per inch
+_LARGEST_RATE = 50.0  # frames per second; common GIF viewers slow down faster ones
+_PACK = np.array([65536, 256, 1], dtype=np.uint32)  # packs the three bytes of a color into one number
 _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A path in motion, as :func:`animate` makes it. In a notebook it shows itself.
+    """A path in motion, made by :func:`animate`; notebooks show it.
 
-    Args:
-        problem: What the path solves.
-        motion: The path in time.
-        seconds: How long it plays, once.
-        frames_per_second: Of a GIF.
+    Attributes:
+        problem: The problem that the path solves.
+        motion: The path over time.
+        seconds: Duration of one playback.
+        frames_per_second: Frame rate of a GIF.
     """
 
     problem: Problem
@@ -161,18 +158,18 @@ class Animation:
 
     @property
     def num_frames(self) -> int:
-        """Number of frames of a GIF, the first at the start and the last at the end of the path."""
+        """Number of frames of a GIF, from the start to the end of the path."""
         return max(1, round(self.seconds * self.frames_per_second)) + 1
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the animation.
+        """Write the animation to a file.
 
         Args:
-            path: The file. ``.gif``: a picture that plays in a loop. ``.html``: a page that plays in any
-                browser, without a network, sharp at any size, with a slider.
+            path: The file. ``.gif``: a looping picture. ``.html``: a web page with a time slider, sharp at any size,
+                that needs no network.
 
         Raises:
-            ValueError: If the ending is another one.
+            ValueError: If the file has another ending.
             OSError: If the file cannot be written.
         """
         path = file_path(path)
@@ -182,7 +179,7 @@ class Animation:
         elif ending == ".html":
             write_atomically(path, player(self.problem, self.motion, self.seconds).encode())
         else:
-            raise ValueError(f"An animation is written as .gif or .html, got {str(path)!r}.")
+            raise ValueError(f"An animation must be written to a .gif or .html file, got {str(path)!r}.")
 
     def __repr__(self) -> str:
         steps = len(self.motion.times)
@@ -191,7 +188,7 @@ class Animation:
     def _repr_html_(self) -> str:
         bounds = self.problem.workspace.bounds
         width, height = pixel_scale(bounds) * bounds.width + 2 * (BORDER + _PADDING)
-        return framed(player(self.problem, self.motion, self.seconds), width, height + _CONTROLS)
+        return in_iframe(player(self.problem, self.motion, self.seconds), width, height + _CONTROLS)
 
 
 def animate(
@@ -199,22 +196,21 @@ def animate(
 ) -> Animation:
     """Set a path in motion.
 
-    Each motion takes its share of the makespan: at any time the robot of the largest cost moves at unit speed,
-    and the others arrive with it. Robots turn by the shorter way. Steps in which nothing moves are skipped.
+    In each motion, the robot with the largest cost moves at unit speed, and the others arrive with it: the total time
+    is the makespan. Robots turn the shorter way. Steps in which nothing moves are skipped.
 
     Args:
-        problem: What the path solves.
-        path: Joint configurations ``(steps, robots, dof)``.
-        seconds: How long the animation plays, positive.
-        frames_per_second: Of a GIF, above 0, at most 50, kept to the nearest that whole hundredths of a second
-            give; a page is as smooth as the screen.
+        problem: The problem that the path solves.
+        path: Joint configurations, ``(steps, robots, dof)``.
+        seconds: Duration of one playback, positive.
+        frames_per_second: Frame rate of a GIF, above 0 and at most 50, rounded so that frames last whole hundredths
+            of a second. Web pages always play at the screen's rate.
 
     Returns:
         The animation, to be saved or shown in a notebook.
 
     Raises:
-        ValueError: If the path has a wrong shape, is not finite, or nothing moves, or seconds or frames per
-            second are out of range.
+        ValueError: If the path has the wrong shape, is not finite, or does not move, or a number is out of range.
     """
     as_finite("seconds", seconds, positive=True)
     expected = f"above 0 and at most {_LARGEST_RATE:g}"
@@ -222,7 +218,7 @@ def animate(
     motion = timeline(problem, path)
     if motion.duration == 0:
         raise ValueError(
-            f"There is nothing to animate: no robot moves in the path's {len(np.asarray(path))} step(s)."
+            f"path must move a robot to be animated, got {len(np.asarray(path))} step(s) without motion."
         )
     return Animation(problem, motion, float(seconds), float(frames_per_second))
 
@@ -231,9 +227,8 @@ def _gif(animation: Animation) -> bytes:
     from PIL import Image
 
     frames = list(_frames(animation))
-    # The 256 most frequent colors, and for each cell of 8 x 8 x 8 colors the one to show in its place.
-    #
-    # Pillow's own quantization averages, so that white is not white and flat areas flicker.
+    # Quantize to the 256 most frequent colors, by a table with the nearest of them for each cell of 8 x 8 x 8 colors.
+    # Pillow's own quantization averages colors: white turns gray and flat areas flicker.
     packed, counts = np.unique(
         np.stack(frames[:: max(1, len(frames) // 8)]).reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True
     )
@@ -242,12 +237,12 @@ def _gif(animation: Animation) -> bytes:
     levels = np.arange(4, 256, 8)
     centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
     nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
-    order = np.arange(len(palette))[::-1]  # of colors in one cell, the most frequent is assigned last and stays
+    order = np.arange(len(palette))[::-1]  # if colors share a cell, the most frequent one is assigned last and stays
     nearest[_cells(palette[order])] = order
     paged = [Image.fromarray(nearest[_cells(frame)]) for frame in frames]
     for frame in paged:
         frame.putpalette(palette.tobytes())
-    delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, in the hundredths that GIF knows
+    delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, a multiple of the 10 that GIF supports
     durations = [delay] * (len(paged) - 1) + [int(1000 * HOLD)]
     data = io.BytesIO()
     paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
@@ -260,9 +255,9 @@ def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape
 
 
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """The pixels of each frame; what stands still is drawn once."""
+    """Yield the pixels of each frame; static parts are drawn once."""
     problem, motion = animation.problem, animation.motion
-    # What stands still: the workspace, whole tracks as thin lines, goals as outlines.
+    # Draw the static background: the workspace, whole tracks as thin lines, goals as outlines.
     ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
     plot_workspace(problem.workspace, ax)
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
@@ -285,7 +280,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 
 
 class _Actor:
-    """What of a robot moves: its body and number, and its trail."""
+    """The moving parts of a robot in a figure: body, heading bar, number and trail."""
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]
@@ -293,7 +288,7 @@ class _Actor:
         self.outline = body_outline(self.robot, bounds)
         (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
         self.body, self.bar = add_body(ax, problem, i, q)
-        self.nose = nose(self.robot, bounds)
+        self.nose = heading_bar(self.robot, bounds)
         self.number = add_number(ax, i, q[:2], ink_on(color_of(i)))
         self.number.set_visible(2 * self.robot.inscribed_radius >= 0.75 * number_size(ax, i))
         self.artists = [a for a in (self.trail, self.body, self.bar, self.number) if a is not None]
@@ -301,7 +296,7 @@ class _Actor:
             artist.set_animated(True)
 
     def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
-        """Move to the end of what the robot has done so far."""
+        """Move to the end of the given part of the robot's path."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
         self.body.set_xy(placed(self.robot, self.outline, q))

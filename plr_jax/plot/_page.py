@@ -1,7 +1,7 @@
-"""Pages for a browser. A page is one file, which loads nothing.
+"""Self-contained web pages.
 
-:func:`page` shows a distance function: one sees it, asks it, and lets swarms flow along it. The page that plays a
-path (:mod:`plr_jax.plot._animation`) is made of the same parts.
+:func:`page` makes an interactive page of a distance function. :mod:`plr_jax.plot._animation` shares its building
+blocks.
 """
 
 import html
@@ -30,37 +30,37 @@ from plr_jax.plr.container import Container
 from plr_jax.plr.leaves import Cone, leaf_of_code
 from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
-_FRAME = (560, 900)  # pixels of a page inside another one
+_FRAME = (560, 900)  # pixels of a page that is embedded in a notebook
 _EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)
 SIZE = 520.0
-"""Pixels along the longer side of the bounds, before the browser scales them."""
+"""Pixels of the longer side of the bounds, before the browser scales the picture."""
 BORDER = 2.0
-"""Pixels around them."""
+"""Pixels of margin around the bounds."""
 PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><path id="icon"/></svg></button>'
-"""The button of ``clock.js``."""
+"""The play button that ``clock.js`` controls."""
 
 
-def part(name: str) -> str:
-    """A part of pages, from a file of this folder."""
+def asset(name: str) -> str:
+    """Return the text of a file in this folder, a building block of pages."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def document(title: str, style: str, body: str, script: str) -> str:
-    """A page of its parts; ``page.css`` comes before its style."""
+def html_document(title: str, style: str, body: str, script: str) -> str:
+    """Assemble a page; the style of ``page.css`` comes first."""
     filled = {
-        "style": part("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
+        "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
         "script": script,
-        "title": html.escape(title),  # last, as it may be in braces itself
+        "title": html.escape(title),  # last, because it may contain a placeholder
     }
-    page = part("page.html")
+    page = asset("page.html")
     for name, value in filled.items():
         page = page.replace("{{" + name + "}}", value)
     return page
 
 
 def packed_script(script: str) -> str:
-    """A script that runs another one, of which it has no comments nor indentation, in a third of its bytes."""
+    """Return a script that unpacks and runs a compressed one, stripped of comments and indentation."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)
@@ -75,31 +75,31 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 """
 
 
-def framed(page: str, width: float | int, height: float | int) -> str:
-    """A page in a frame of its own, so that many fit on one page and none sees the others."""
+def in_iframe(page: str, width: float | int, height: float | int) -> str:
+    """Embed a page in an iframe, so that many pages fit into one document without interfering."""
     looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
     return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
 
 
 def pixel_scale(bounds: Box) -> float:
-    """Pixels a workspace unit."""
+    """Return the number of pixels per workspace unit."""
     return SIZE / float(bounds.width.max())
 
 
-def view_of(bounds: Box) -> dict[str, float]:
-    """What scripts need to know to place points."""
+def view_parameters(bounds: Box) -> dict[str, float]:
+    """Return the parameters with which scripts convert points to pixels."""
     return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
 
 
 def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
-    """Points in pixels, y downward."""
+    """Return points as text in pixels, ``y`` downward."""
     scale = pixel_scale(bounds)
     x, y = scale * (points[:, 0] - bounds.lo[0]), scale * (bounds.hi[1] - points[:, 1])
     return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
 
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
-    """What obstacles cover, as data of a path in pixels of some bounds, to be filled by the rule of even and odd."""
+    """Return the obstacles as SVG path data in pixels, to be filled by the even-odd rule."""
     rings = []
     for polygon in blocked_polygons(workspace):
         for ring in (polygon.exterior, *polygon.interiors):
@@ -108,77 +108,72 @@ def obstacles_path(workspace: Workspace, bounds: Box) -> str:
 
 
 def view_box(bounds: Box) -> str:
-    """The box that a picture shows, in pixels."""
+    """Return the SVG view box of a picture, in pixels."""
     width, height = pixel_scale(bounds) * bounds.width
     return f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page that shows a distance function, as :func:`page` makes it. In a notebook it shows itself.
+    """A web page that shows a distance function, made by :func:`page`; notebooks show it.
 
-    Args:
+    Attributes:
         html: The whole page.
     """
 
     html: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the page.
+        """Write the page to a file.
 
         Args:
             path: The file, which ends in ``.html``.
 
         Raises:
-            ValueError: If the ending is another one.
+            ValueError: If the file has another ending.
             OSError: If the file cannot be written.
         """
         path = file_path(path)
         if path.suffix.lower() != ".html":
-            raise ValueError(f"A page is written as .html, got {str(path)!r}.")
+            raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
         write_atomically(path, self.html.encode())
 
     def __repr__(self) -> str:
         return f"Page({len(self.html.encode()):,} bytes)"
 
     def _repr_html_(self) -> str:
-        return framed(self.html, *_FRAME)
+        return in_iframe(self.html, *_FRAME)
 
 
 def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
-    """A distance function as one page for a browser, which loads nothing and works without a server.
+    """Return a self-contained web page of a distance function, which needs no server or network.
 
-    It shows the distance as colors and contours, the walls, and the cells on demand. Under the pointer it tells the
-    distance, its proven bounds, and the path: of cones from source to source, of other leaves down the slope, never
-    into a wall that is given. A click lets a swarm flow to the goal. Of pairs both ends can be dragged. Other files
-    of cones or pairs may be dropped on the page. Its answers are those of ``plr.numpy()`` and ``pairs.numpy()``, bit
-    for bit.
+    It shows the distance as colors and contours, the walls, and optionally the cells. At the pointer it shows the
+    distance, its proven bounds and a path: for cones along the stored sources, for other leaves down the gradient
+    without entering the given walls. A click starts a swarm that flows to the goal. For pairs, both ends can be
+    dragged. Other files of cones or pairs can be dropped on the page. Its answers equal those of ``plr.numpy()`` and
+    ``pairs.numpy()``, bit for bit.
 
     Args:
-        plr_or_pairs: What is shown, in the plane.
-        workspace: What walls are drawn. Pairs bring their own.
-
-    Returns:
-        The page, to be saved or shown in a notebook.
+        plr_or_pairs: The PLR or PairPLR to show, in the plane.
+        workspace: The Workspace whose walls are drawn. Pairs have their own walls.
 
     Raises:
-        ValueError: If it is none of those, or not in the plane.
+        ValueError: If an argument has another type, or the function is not in the plane.
     """
-    held = plr_or_pairs
-    if not isinstance(held, PLR | PairPLR):
-        raise ValueError(f"A page shows a PLR or pairs of points in the plane, got {shortened(held)}.")
-    if held.domain.dim != 2:
-        raise ValueError(
-            f"A page shows the plane, got a PLR of {held.domain.dim} axes; see plr_jax.plot.slices for others."
-        )
+    source = plr_or_pairs
+    if not isinstance(source, PLR | PairPLR):
+        raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
+    if source.domain.dim != 2:
+        raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plr_jax.plot.slices.")
     if not isinstance(workspace, Workspace | None):
         raise ValueError(
             f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
         )
-    data, name = held.to_bytes(), held.label or ("A PLR" if isinstance(held, PLR) else "Pairs")
-    walls = None if workspace is None else {"data": obstacles_path(workspace, held.domain)}
+    data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
+    walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
-    if isinstance(held, PairPLR):
+    if isinstance(source, PairPLR):
         is_read_by_page = True
     else:
         container = Container.from_bytes(data)
@@ -187,18 +182,18 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     if is_read_by_page:
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
-        box = {"lo": held.domain.lo.tolist(), "hi": held.domain.hi.tolist()}
+        box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
         content |= {"box": json.dumps(box), "module": _module(data)}
-    told = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
+    content_js = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
-    script = "\n".join([*readers, part("clock.js"), part("field.js").replace("{{content}}", told)])
+    script = "\n".join([*readers, asset("clock.js"), asset("field.js").replace("{{content}}", content_js)])
     return Page(
-        document(name, part("field.css"), part("field.html").replace("{{play}}", PLAY), packed_script(script))
+        html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
     )
 
 
 def _module(data: bytes) -> str:
-    """Return a reader of the file, as an object of JavaScript."""
+    """Return a JavaScript object that reads the file and its facts."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

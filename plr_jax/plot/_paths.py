@@ -119,7 +119,7 @@ def drawn_rounding(robot: Robot, bounds: Box) -> float:
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
-def nose(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
+def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     """A bar near the front of a body, in its own frame, that shows where it heads."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
@@ -132,7 +132,7 @@ def nose(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     return np.array([[x, middle - half], [x, middle + half]])
 
 
-def front(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
+def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
     """The sides of a body that face where it heads, in its own frame."""
     corners = body_outline(robot, bounds)
     sides = np.roll(corners, -1, axis=0) - corners
@@ -155,7 +155,7 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
     ax.add_patch(body)
     if robot.dof == 2:
         return body, None
-    ends = placed(robot, nose(robot, problem.workspace.bounds), q)
+    ends = placed(robot, heading_bar(robot, problem.workspace.bounds), q)
     (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
     return body, bar
 
@@ -168,7 +168,7 @@ def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"],
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
     ax.add_patch(Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2))
     if robot.dof == 3:  # its front is a line without gaps
-        ahead = placed(robot, front(robot, bounds), q)
+        ahead = placed(robot, front_sides(robot, bounds), q)
         ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
 
 
@@ -194,12 +194,12 @@ def add_numbers(
         if fits := 2 * robot.inscribed_radius >= 0.75 * size:
             # Off the center where a goal's outline runs through it.
             inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
-            spot = _freest(inside, dashed, size) if k < num_robots else q[:2]
+            spot = _least_covered(inside, dashed, size) if k < num_robots else q[:2]
         if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
             # Eight places around the body, close to it.
             corners = shapely.get_coordinates(shape) - q[:2]
             spots = [q[:2] + ((corners @ way).max() + 0.62 * size) * way for way in np.array(_AROUND)]
-            spot = _freest(spots, taken, size)
+            spot = _least_covered(spots, taken, size)
             taken.append(_square(spot, size))
             text = add_number(ax, i, spot, color_of(i))
             text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
@@ -215,7 +215,7 @@ def number_size(ax: Axes, i: int) -> float:
     return float(units[1, 0] - units[0, 0])
 
 
-def _freest(
+def _least_covered(
     spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
     """The first spot at which a number covers least of what is taken."""

@@ -31,8 +31,8 @@ from plr_jax.plot._axes import (
     FunctionsOfLeaves,
     add_colorbar,
     cell_corners,
-    dressed_axes,
     new_axes_3d,
+    prepare_axes,
     rectangles,
     require_2d,
     style_colorbar,
@@ -115,7 +115,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     return solid
 
 
-_QUIET = "#6e6e6e"
+_CELL_COLOR = "#6e6e6e"
 OBSTACLE = "#ececec"
 _ERROR_COLORS = "inferno"
 
@@ -130,7 +130,7 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
     Returns:
         The axes.
     """
-    ax = dressed_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
+    ax = prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
     _add_obstacles(workspace, ax)
     return ax
 
@@ -182,8 +182,8 @@ def plot_contours(
             axes that are not its own, or a space of another dimension; or if no point has an answer.
     """
     shown = Slice.of(plr.domain, at)
-    require_shown(shown, workspace, space)
-    ax = dressed_axes(ax, shown)
+    require_drawable(shown, workspace, space)
+    ax = prepare_axes(ax, shown)
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
@@ -191,7 +191,7 @@ def plot_contours(
     if goal is not None:
         goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
     if goal is not None and workspace is not None:
-        reached, cut_off = _by_goal(workspace, goal)
+        reached, cut_off = _split_by_reachability(workspace, goal)
         if cut_off:
             free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
     of_free = values[free]
@@ -244,7 +244,7 @@ def plot_cells(
     *,
     workspace: Workspace | None = None,
     at: Mapping[int, float | int] | None = None,
-    color: str = _QUIET,
+    color: str = _CELL_COLOR,
 ) -> Axes:
     """Draw the cells of a partition, one rectangle a leaf.
 
@@ -263,8 +263,8 @@ def plot_cells(
             axes that are not its own.
     """
     shown = Slice.of(plr.domain, at)
-    require_shown(shown, workspace, None)
-    ax = dressed_axes(ax, shown, room_for_colorbar=False)
+    require_drawable(shown, workspace, None)
+    ax = prepare_axes(ax, shown, room_for_colorbar=False)
     cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
     ax.add_collection(LineCollection(list(closed), colors=color, linewidths=0.4, alpha=0.7, zorder=2.5))
@@ -309,7 +309,7 @@ def plot_error(
     if finite.size == 0:
         raise ValueError("There is nothing to draw: no error is finite.")
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
-    ax = dressed_axes(ax, shown)
+    ax = prepare_axes(ax, shown)
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
     image = add_image(ax, shown.box, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
@@ -323,7 +323,7 @@ def plot_error(
     return ax
 
 
-def require_shown(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
+def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
     """Refuse obstacles of other axes than are drawn."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"Obstacles of a workspace belong to axes 0 and 1, but axes {shown.axes} are drawn.")
@@ -343,7 +343,7 @@ def free_points(
     return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
 
 
-def _by_goal(
+def _split_by_reachability(
     workspace: Workspace, goal: Float[np.ndarray, "2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """Parts of free space from which a path leads to the goal, and others; all do to a goal that is in none."""

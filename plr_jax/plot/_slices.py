@@ -16,11 +16,11 @@ from plr_jax.plot._axes import (
     INK,
     WORKSPACE_UNITS,
     axis_label,
-    dressed_axes,
     is_angle,
+    prepare_axes,
     style_colorbar,
 )
-from plr_jax.plot._plane import draw_values, free_points, mark_goal, require_shown
+from plr_jax.plot._plane import draw_values, free_points, mark_goal, require_drawable
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
@@ -86,7 +86,7 @@ def slices(
 
     # 2. Values at a grid of points of each, and which of them are answers in free space.
     cuts = [Slice.of(domain, {**at, axis: float(place)}) for place in places]
-    require_shown(cuts[0], None, space)
+    require_drawable(cuts[0], None, space)
     points = [cut.grid(resolution) for cut in cuts]
     values = [np.ma.masked_invalid(np.asarray(plr(each), dtype=np.float64)) for each in points]
     shows = [
@@ -99,15 +99,15 @@ def slices(
 
     # 3. Slices row by row from the top left, the whole about as wide as the page of a paper.
     horizontal, vertical = cuts[0].axes
-    alike = is_angle(domain, horizontal) == is_angle(domain, vertical)
-    width, height = cuts[0].box.width / cuts[0].box.width.max() if alike else (1.0, 1.0)
+    same_unit = is_angle(domain, horizontal) == is_angle(domain, vertical)
+    width, height = cuts[0].box.width / cuts[0].box.width.max() if same_unit else (1.0, 1.0)
     columns = int(np.clip(np.ceil(np.sqrt(_WIDE * count * height / width)), 1, count))
     rows = -(-count // columns)
     columns = -(-count // rows)  # no more than that takes
     size = np.array([columns, rows]) * (_PANEL * np.array([width, height]) + _GAP) + _MARGIN
     figure = Figure(figsize=tuple(np.maximum(size, _LEAST)), dpi=DPI, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(rows, columns)
-    panels = [dressed_axes(figure.add_subplot(grid[divmod(i, columns)]), cuts[0]) for i in range(count)]
+    panels = [prepare_axes(figure.add_subplot(grid[divmod(i, columns)]), cuts[0]) for i in range(count)]
     title, _, _ = axis_label(domain, axis).partition(" (")
     for i, (ax, place) in enumerate(zip(panels, places, strict=True)):
         closed = None if space is None else ~shows[i]

@@ -1,4 +1,4 @@
-// A button that plays and pauses, and what is called while it plays: advance(seconds since the last time).
+// A play button. While it plays, the page's advance(seconds since the last call) is called for every frame.
 const byId = id => document.getElementById(id);
 const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
 let [playing, before] = [false, 0];

@@ -1,4 +1,4 @@
-// A distance function to look at: what is shown is one of openings, { distance, bounds, route, ... } of points.
+// An interactive view of a distance function. An opened file has a title, bounds and a reader { distance, bounds, route, ... }.
 const { name, file, module, walls, box } = {{content}};
 const KINDS = ["planes", "continuous leaves", "smooth leaves", "cones"];
 const COLORS = "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725".split(" ").map(hex => [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16)));
@@ -14,7 +14,7 @@ const pointText = ([x, y]) => `(${text(x)}, ${text(y)})`;
 const between = (a, b, share) => a + share * (b - a);
 const apart = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
 
-// What is open, and what of it is shown.
+// State: the opened file, its mapping to pixels, both ends of the query, values of the pixels, and the swarm.
 let opened = null, view = null, start = [0, 0], goal = [0, 0], values = null, largest = 0, swarm = [];
 const shown = () => opened.reader;
 
@@ -26,19 +26,19 @@ function openFile(bytes, title, drawn) {
     if (last.leaf === PAIRS) {
         const tables = readPairs(container, bytes.length), reader = pairsReader(tables);
         const longest = tables.lists.reduce((most, list) => Math.max(most, list.length), 0);
-        if (longest > MOST_LISTED) fail(`a cell lists ${longest} corners, more than the ${MOST_LISTED} that this page tries at once`);
+        if (longest > MOST_LISTED) fail(`a cell lists ${longest} corners, more than the ${MOST_LISTED} that this page supports`);
         return { ...domain, title, isOfPairs: true, walls: drawn || outlineOf(tables.outline), reader: {
             ...reader, ...tables, size: bytes.length, kind: `${tables.corners} corners, ${tables.leaves.toLocaleString("en")} cells`,
             route: (x, y) => reader.path(x, y),
         } };
     }
-    if (last.leaf !== CONE) fail(`it holds ${KINDS[last.leaf] || `leaves of kind ${last.leaf}`}, which this page does not read: plr-jax view makes a page of such a file`);
+    if (last.leaf !== CONE) fail(`it holds ${KINDS[last.leaf] || `leaves of kind ${last.leaf}`}, which this page cannot read; use the command plr-jax view to make a page of this file`);
     const tables = readCones(container, last), { x, y, parent } = tables.sources, reader = coneReader(tables);
     const nearest = point => x.reduce((best, _, i) => apart([x[i], y[i]], point) < apart([x[best], y[best]], point) ? i : best, 0);
     const root = nearest([x, y].map(along => along[parent.findIndex((of, i) => of === i)]));
     return { ...domain, title, walls: drawn, reader: {
         ...reader, ...tables, size: bytes.length, kind: `${tables.leaves.toLocaleString("en")} cones`, goal: [x[root], y[root]],
-        route(from) { // to the source of the leaf, and on from parent to parent
+        route(from) { // from the leaf's source along the chain of parents
             if (!Number.isFinite(reader.distance(from))) return null;
             const points = [from];
             for (let at = nearest(reader.waypoint(from)); ; at = parent[at]) {
@@ -49,7 +49,7 @@ function openFile(bytes, title, drawn) {
     } };
 }
 
-// A PLR of other leaves, whose reader the page holds as code.
+// A PLR with other leaves: the page contains its reader as code.
 function openModule() {
     const { read, ...facts } = module, reader = read();
     return { ...box, title: name, walls, reader: { ...reader, ...facts, goal: null, isSourced: false, route: from => descent(reader, from) } };
@@ -63,7 +63,7 @@ function outlineOf({ first, x, y }) {
     return { isFree: true, rings };
 }
 
-// Down the slope, by the best of many directions, never through a wall; farther where nothing near is lower.
+// Follow the gradient: step in the best of many directions, never through a wall; look farther if no near point is lower.
 function descent(reader, from) {
     let at = from, value = reader.distance(from);
     if (!Number.isFinite(value) || isWall(from)) return null;
@@ -117,7 +117,7 @@ function look() {
     view.sights = opened.isOfPairs ? sightsOf(shown()) : null;
 }
 
-// Which pixels see a point: those in no wall's shadow.
+// Return which pixels see a point, by drawing the shadow of every wall.
 function seenFrom([x, y], tables, context) {
     const { columns, rows } = view, { following, x: wx, y: wy } = tables.outline;
     const at = ([px, py]) => [(px - view.lo[0]) / (view.hi[0] - view.lo[0]) * columns, (view.hi[1] - py) / (view.hi[1] - view.lo[1]) * rows];
@@ -128,9 +128,9 @@ function seenFrom([x, y], tables, context) {
     const far = 4 * Math.max(columns, rows), [cx, cy] = at([x, y]);
     for (let i = 0; i < wx.length; i++) {
         const j = following[i];
-        if (Math.min(apart([wx[i], wy[i]], [x, y]), apart([wx[j], wy[j]], [x, y])) < 1e-5 * view.width) continue; // of a corner itself
+        if (Math.min(apart([wx[i], wy[i]], [x, y]), apart([wx[j], wy[j]], [x, y])) < 1e-5 * view.width) continue; // the point is a corner of this wall
         const ends = [at([wx[i], wy[i]]), at([wx[j], wy[j]])], [[ax, ay], [bx, by]] = ends;
-        const [a, b] = (bx - ax) * (cy - ay) < (by - ay) * (cx - ax) ? ends : ends.reverse(); // all shadows turn one way
+        const [a, b] = (bx - ax) * (cy - ay) < (by - ay) * (cx - ax) ? ends : ends.reverse(); // all shadows have one orientation
         const beyond = ([px, py]) => { const length = Math.hypot(px - cx, py - cy) || 1; return [px + (px - cx) / length * far, py + (py - cy) / length * far]; };
         const corners = [a, beyond(a), beyond([(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]), beyond(b), b];
         corners.forEach((corner, k) => k ? context.lineTo(...corner) : context.moveTo(...corner));
@@ -141,8 +141,8 @@ function seenFrom([x, y], tables, context) {
 }
 const isLit = pixel => (pixel & 255) > 127;
 
-// Of each corner the pixels that see it and whose leaves list it, and how far they are: what no goal changes. They are
-// found while nobody waits; until then pixels are blank whose leaves list corners of which this is not known.
+// For each corner, the pixels that see it and whose leaves list it, and their distances: these do not depend on the goal.
+// They are computed in idle time; until then, pixels whose leaves list further corners stay blank.
 function sightsOf(tables) {
     const { columns, rows } = view, canvas = document.createElement("canvas"), count = columns * rows;
     [canvas.width, canvas.height] = [columns, rows];
@@ -157,10 +157,10 @@ function addSight(tables, { px, py, of, corners, isListed, context }) {
     const lit = seenFrom([x + tables.middle[0], y + tables.middle[1]], tables, context), pixels = [];
     tables.lists.forEach((list, leaf) => { isListed[leaf] = list.includes(corner) ? 1 : 0; });
     for (let pixel = 0; pixel < lit.length; pixel++) if (isListed[of[pixel]] && isLit(lit[pixel])) pixels.push(pixel);
-    corners.push({ pixels: Uint32Array.from(pixels), legs: Float32Array.from(pixels, pixel => tables.legLength(px[pixel % columns], py[Math.floor(pixel / columns)], x, y)) });
+    corners.push({ pixels: Uint32Array.from(pixels), cornerDistances: Float32Array.from(pixels, pixel => tables.legLength(px[pixel % columns], py[Math.floor(pixel / columns)], x, y)) });
 }
 function addSights(of = view) {
-    if (view !== of) return; // another file is open
+    if (view !== of) return; // another file was opened meanwhile
     const tables = shown(), { sights } = view, until = performance.now() + 30;
     while (sights.corners.length < tables.corners && performance.now() < until) addSight(tables, sights);
     drawField();
@@ -177,9 +177,9 @@ function fieldOfPairs(tables) {
         for (let k = 0; k < toGoal.length; k++) { const way = f(leg + distances[k]); if (way < toGoal[k]) toGoal[k] = way; }
     }
     const lit = seenFrom(goal, tables, context), found = new Float32Array(columns * rows).fill(Infinity);
-    corners.forEach(({ pixels, legs }, corner) => {
+    corners.forEach(({ pixels, cornerDistances }, corner) => {
         const onward = toGoal[corner];
-        if (onward < Infinity) for (let k = 0; k < pixels.length; k++) { const way = legs[k] + onward; if (way < found[pixels[k]]) found[pixels[k]] = way; }
+        if (onward < Infinity) for (let k = 0; k < pixels.length; k++) { const way = cornerDistances[k] + onward; if (way < found[pixels[k]]) found[pixels[k]] = way; }
     });
     for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) {
         if (isLit(lit[pixel])) { const dx = px[i] - gx, dy = py[j] - gy; found[pixel] = Math.sqrt(dx * dx + dy * dy); }
@@ -224,7 +224,7 @@ function drawField() {
 function drawLegend() {
     byId("colors").style.background = `linear-gradient(to right, ${COLORS.map(rgb => `rgb(${rgb})`).join(", ")})`;
     const step = niceStep(largest / 14);
-    byId("colors").setAttribute("aria-label", `Colors from dark violet at distance 0 by green to yellow at ${text(largest)} ${UNIT}`);
+    byId("colors").setAttribute("aria-label", `Colors from dark violet at distance 0 through green to yellow at ${text(largest)} ${UNIT}`);
     byId("ticks").replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map(share => Object.assign(document.createElement("span"), { textContent: text(share * largest) })));
     byId("ticks").lastChild.textContent += ` ${UNIT}`;
     byId("contoured").parentElement.lastChild.textContent = ` Contours, ${text(step)} apart`;
@@ -248,14 +248,14 @@ function ask() {
     says += found === Infinity ? "no path is known." : `${text(found)} ${UNIT}.`;
     if (bounds && found < Infinity) {
         const [lower, upper] = bounds(...ends);
-        says += upper < Infinity ? ` Proven: between ${text(lower, 7)} and ${text(upper, 7)}, if this is free space.` : ` Proven: at least ${text(lower, 7)}.`;
+        says += upper < Infinity ? ` Proven to be between ${text(lower, 7)} and ${text(upper, 7)}, if this point is free.` : ` Proven to be at least ${text(lower, 7)}.`;
     }
-    if (isWall(start)) says += " This is inside a wall, where the number means nothing.";
+    if (isWall(start)) says += " This point is inside a wall, where the distance is meaningless.";
     else if (path && shown().isSourced === false) {
         const long = path.reduce((sum, to, k) => k ? sum + apart(path[k - 1], to) : 0, 0), last = path[path.length - 1];
-        says += apart(last, goal) < view.width / 50 ? ` A path down the slope is ${text(long)} long.` : ` The slope leads no farther than to ${pointText(last)}.`;
+        says += apart(last, goal) < view.width / 50 ? ` A path along the gradient has length ${text(long)}.` : ` A path along the gradient ends at ${pointText(last)}.`;
     }
-    else if (path) says += ` The path that the file holds has ${path.length - 1} ${path.length === 2 ? "leg" : "legs"}.`;
+    else if (path) says += ` The stored path has ${path.length - 1} ${path.length === 2 ? "segment" : "segments"}.`;
     byId("readout").textContent = says;
     const points = path ? path.map(point => toPixels(point).map(along => along.toFixed(2)).join(",")).join(" ") : "";
     for (const id of ["under", "path"]) byId(id).setAttribute("points", points);
@@ -263,15 +263,15 @@ function ask() {
 }
 
 function describe() {
-    const { kind, size, error } = shown(), proof = error === undefined || error === null ? "nothing is proven of its error" : error < Infinity ? `no error above ${text(error)}, proven` : "of its error only lower bounds are proven";
+    const { kind, size, error } = shown(), proof = error === undefined || error === null ? "without a proven error bound" : error < Infinity ? `error at most ${text(error)}, proven` : "with proven lower bounds only";
     byId("title").textContent = opened.title;
-    byId("facts").textContent = `${size.toLocaleString("en")} bytes; ${kind}; ${opened.isOfPairs ? "exact but for rounding, with proven bounds" : proof}. ${opened.isOfPairs ? "The distance between any two points" : "The distance to the goal"}, around walls, in ${UNIT}.`;
+    byId("facts").textContent = `${size.toLocaleString("en")} bytes; ${kind}; ${opened.isOfPairs ? "exact up to rounding, with proven bounds" : proof}. ${opened.isOfPairs ? "The distance between any two points" : "The distance to the goal"}, around walls, in ${UNIT}.`;
     byId("stage").classList.toggle("draggable", Boolean(opened.isOfPairs));
     byId("help").textContent = opened.isOfPairs
-        ? "Drag either end; click elsewhere to start a swarm from there. Keys: arrows move the start, with Shift the goal; Enter starts a swarm."
-        : "Point at a place to ask from there; click it to start a swarm. Keys: arrows move the place; Enter starts a swarm.";
+        ? "Drag either end; click elsewhere to start a swarm there. Keys: arrows move the start, Shift and arrows the goal; Enter starts a swarm."
+        : "Move the pointer to query a point; click to start a swarm there. Keys: arrows move the point; Enter starts a swarm.";
     const { lo, hi } = opened, lattice = [0.1, 0.3, 0.5, 0.7, 0.9], rows = lattice.slice().reverse();
-    byId("words").textContent = `The map reaches from ${pointText(lo)} to ${pointText(hi)}. Distances reach ${text(largest)} ${UNIT}. The goal is at ${pointText(goal)}. Rows of the table go from the upper end of the map to the lower one.`;
+    byId("words").textContent = `The map reaches from ${pointText(lo)} to ${pointText(hi)}. Distances reach ${text(largest)} ${UNIT}. The goal is at ${pointText(goal)}. Rows of the table go from the top of the map to the bottom.`;
     const cell = (kind, content) => Object.assign(document.createElement(kind), { textContent: content });
     const line = cells => { const row = document.createElement("tr"); row.append(...cells); return row; };
     const at = (axis, share) => between(lo[axis], hi[axis], share);
@@ -286,7 +286,7 @@ function lowest() {
     const at = values.reduce((best, value, pixel) => value < values[best] ? pixel : best, 0);
     return [between(view.lo[0], view.hi[0], (at % view.columns + 0.5) / view.columns), between(view.hi[1], view.lo[1], (Math.floor(at / view.columns) + 0.5) / view.rows)];
 }
-// A place that is free, near a share of the map.
+// Return a free point near a relative position in the map.
 function freeNear(shares) {
     const at = shares.map((share, axis) => between(opened.lo[axis], opened.hi[axis], share));
     for (let radius = 0; radius < 1; radius += 0.02) for (let turn = 0; turn < 16; turn++) {
@@ -321,7 +321,7 @@ function refuse(title, error) {
     byId("error").hidden = false;
     byId("error").textContent = `${title} cannot be shown: ${error.message}.`;
 }
-// Opens bytes that someone gives: what is wrong with them is said in words, and what is shown stays.
+// Open bytes from the user; on an error, show a message and keep the current view.
 function take(bytes, title) {
     byId("error").hidden = true;
     try { show(openFile(bytes, title)); } catch (error) { refuse(title, error); }
@@ -332,7 +332,7 @@ async function takeFile(given) {
     else take(new Uint8Array(await given.arrayBuffer()), given.name);
 }
 
-// A swarm flows from around a place to the goal.
+// Start a swarm of points around a position; they flow to the goal.
 function startSwarm(at) {
     let seed = 1;
     const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
@@ -384,7 +384,7 @@ function drawSwarm() {
     }
 }
 
-// Hands.
+// Pointer, keyboard and file input.
 let dragged = null;
 const stage = byId("stage");
 function placeUnder(event) {

@@ -3,7 +3,7 @@
 const { seconds, hold, view, duration, times, steps } = {{motion}};
 const robots = steps[0].map((_, i) => ({ place: byId("place" + i), turn: byId("turn" + i), trail: byId("trail" + i) }));
 
-// The way each robot has gone by each step, in pixels: as long as its trail is then.
+// Length in pixels of each robot's path up to each step, which is the length of its trail.
 const gone = steps[0].map((_, i) => {
   const sums = [0];
   for (let k = 1; k < steps.length; k++) {
@@ -13,7 +13,7 @@ const gone = steps[0].map((_, i) => {
   return sums;
 });
 
-// The motion under way at a time (a share of the duration), and the share of it that is done; of steps at one time, the last counts.
+// Return the motion at a time (a share of the duration) and the share of it that is done. Of steps at equal times, the last counts.
 function motionAt(time) {
   let [low, high] = [0, times.length - 1];
   while (high - low > 1) {
@@ -45,7 +45,7 @@ function show(time) {
   byId("clock").value = `${(time * duration).toPrecision(3)} of ${duration.toPrecision(3)}`;
 }
 
-let clock = 0; // seconds of the player, with the hold at the end
+let clock = 0; // seconds of playback, including the pause at the end
 const timeOf = clock => Math.min(1, clock / seconds);
 
 function advance(since) {

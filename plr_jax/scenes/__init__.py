@@ -1,4 +1,7 @@
-"""Named scenes, the scene file format, readers of public formats, and variants of a problem."""
+"""Published scenes, the scene file format, readers of public map formats, and perturbed problems.
+
+All readers raise ``OSError`` if a file cannot be read.
+"""
 
 from plr_jax.scenes._file import is_scene, load, save
 from plr_jax.scenes._geojson import read_geojson, read_polygons, read_wkt

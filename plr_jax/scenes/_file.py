@@ -1,4 +1,4 @@
-"""The scene file: a problem as JSON, in the form that :func:`load` describes."""
+"""The scene file: a problem stored as JSON, in the format that :func:`load` describes."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleR
 
 _KIND = "scene"
 _VERSION = 3
-_SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, sizes, and the version that introduced it
+_SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, fields, first version of the format
     "point": (PointRobot, (), 1),
     "disc": (DiscRobot, ("radius",), 2),
     "rectangle": (RectangleRobot, ("length", "width"), 2),
@@ -28,14 +28,14 @@ _KEYS = ("workspace", "robots", "starts", "goals")
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write a problem as a scene file.
 
-    The file appears whole or not at all: an interrupted save leaves an older file as it was.
+    The file is complete or absent: an interrupted save leaves an older file unchanged.
 
     Args:
         problem: The problem.
-        path: Where; usually ends in ``.json``.
+        path: The file to write, usually ``.json``.
 
     Raises:
-        ValueError: If a robot is of a shape that scene files have no word for.
+        ValueError: If the format cannot represent a robot's shape.
         OSError: If the file cannot be written.
     """
     weight = problem.rotation_weight
@@ -54,9 +54,9 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Problem:
-    """Read a scene file.
+    """Read a problem from a scene file.
 
-    Version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
+    A file of version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
 
         "format":     "plr_jax scene"
         "version":    3
@@ -66,25 +66,20 @@ def load(path: str | os.PathLike[str]) -> Problem:
         "robots":     [{"shape": "point"} or {"shape": "disc", "radius": r}
                        or {"shape": "rectangle", "length": l, "width": w}
                        or {"shape": "polygon", "vertices": ring}, ...]
-        "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any has a heading
+        "starts":     [[x, y], ...]     one configuration per robot; [x, y, heading] if any robot has a heading
         "goals":      [[x, y], ...]
-        "rotation_weight": cost of a turn by one radian; may be left out: a robot's circumscribed radius
+        "rotation_weight": cost of a turn by one radian; optional, by default a robot's circumscribed radius
 
-    Version 1 knows points only, and no ``"rotation_weight"``; version 2 no polygons. A scene is written in the
-    oldest version that can say it, so that older releases read it. Obstacles may overlap and leave the bounds;
-    ``"holes"`` may be left out. A ring is a list of ``[x, y]`` points. Numbers are written with as many digits as
-    it takes to read the same float64 back.
+    A ring is a list of points ``[x, y]``. ``"holes"`` is optional. Obstacles may overlap and leave the bounds.
+    Version 1 has only points and no ``"rotation_weight"``; version 2 has no polygons. :func:`save` writes the oldest
+    sufficient version, so that older releases can read it. Numbers are written with enough digits to read the same
+    float64 back.
 
     Args:
-        path: A file that :func:`save` wrote, or one made by hand.
-
-    Returns:
-        The problem: its bounds, obstacles, starts and goals equal the saved ones exactly.
+        path: A file that :func:`save` wrote, or a handwritten one.
 
     Raises:
-        ValueError: If the file is no scene, is damaged, was written by a newer version, or describes an
-            impossible problem.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not a scene, is damaged, has a newer version, or describes an impossible problem.
     """
     path = Path(path)
     with errors_named(path):
@@ -99,17 +94,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
 
 def is_scene(path: str | os.PathLike[str]) -> bool:
-    """Whether a JSON file says that it is a scene file, of whatever version.
-
-    Args:
-        path: The file.
-
-    Returns:
-        False for files that are no JSON, too.
-
-    Raises:
-        OSError: If the file cannot be read.
-    """
+    """Return whether a file, ``path``, is JSON that declares itself a scene, of any version."""
     try:
         scene = json_of(Path(path))
     except ValueError:
@@ -121,7 +106,7 @@ def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
     for shape, (kind, sizes, _) in _SHAPES.items():
         if type(robot) is kind:
             return {"shape": shape, **{size: np.asarray(getattr(robot, size)).tolist() for size in sizes}}
-    raise ValueError(f"Robot {i} cannot be saved: a scene file knows the shapes {', '.join(_SHAPES)}, got {robot!r}.")
+    raise ValueError(f"Robot {i} must have one of the shapes {', '.join(_SHAPES)} to be saved, got {robot!r}.")
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
@@ -163,13 +148,15 @@ def _workspace(entry: Any) -> Workspace:
 
 
 def _obstacle(i: int, entry: Any) -> Any:
-    """A ring, whose faults the workspace explains, or a polygon where there are holes."""
+    """Return the outer ring of an obstacle without holes, which the Workspace checks, or else a polygon."""
     if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
-        raise ValueError(f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}.')
+        raise ValueError(
+            f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}, got {shortened(entry)}.'
+        )
     if not entry.get("holes"):
         return entry["outer"]
     try:
         outer, *holes = (as_points("it", ring, 2) for ring in [entry["outer"], *entry["holes"]])
         return shapely.Polygon(outer, holes)
     except ValueError as error:
-        raise ValueError(f"a ring of obstacle {i} is no list of at least three points ({error}).") from None
+        raise ValueError(f"expected rings of obstacle {i} to be lists of at least three points ({error}).") from None

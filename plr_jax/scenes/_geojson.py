@@ -1,4 +1,4 @@
-"""Readers of polygons: outer rings with holes in JSON, GeoJSON, and well-known text."""
+"""Readers of polygons as workspaces: rings in JSON, GeoJSON, and well-known text (WKT)."""
 
 import math
 import os
@@ -20,26 +20,21 @@ from plr_jax.geometry.workspace import Workspace
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
-    """Read a workspace from a JSON file of free-space polygons.
+    """Read a workspace from a JSON file of free-space polygons; its bounds are their bounding box.
 
-    A ring is a list of ``[x, y]`` points. Three shapes of file are understood::
+    A ring is a list of points ``[x, y]``. The file has one of these forms; ``"holes"`` is optional, other keys are
+    ignored::
 
         {"components": [{"outer": ring, "holes": [ring, ...]}, ...]}
         {"outer": ring, "holes": [ring, ...]}
         {"boundary": ring, "holes": [ring, ...]}        (extremitypathfinder)
 
-    ``"holes"`` may be missing; other keys are ignored.
-
     Args:
         path: The ``.json`` file.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
-    Returns:
-        The workspace; its bounds are the bounding box of the polygons.
-
     Raises:
-        ValueError: If the file is no JSON, has none of these shapes, or a ring is invalid.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not JSON, has none of these forms, or a ring is invalid.
     """
     path = Path(path)
     with errors_named(path):
@@ -56,16 +51,16 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
 
 
 _DEGREES = np.array([180.0, 90.0])
-_SMALL = 1.0  # degrees: what is mapped is smaller
-_HOLDS = {
+_MAX_TOWN = 1.0  # degrees: coordinates that span less may be longitudes and latitudes
+_PARTS_KEY = {
     "FeatureCollection": "features",
     "Feature": "geometry",
     "GeometryCollection": "geometries",
     "MultiPolygon": "coordinates",
     "Polygon": "coordinates",
-}  # objects that are read, and the key of their parts
-_MOST_NESTED = 32  # parentheses of WKT, which GEOS reads by recursion
-_NOT_READ = ("Point", "MultiPoint", "LineString", "MultiLineString")
+}  # supported objects, and the key of their parts
+_MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
+_UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 
 def read_geojson(
@@ -77,24 +72,19 @@ def read_geojson(
 ) -> Workspace:
     """Read the polygons of a GeoJSON file as a workspace.
 
-    Coordinates are taken as they are, as points of a plane with equal units along both axes. Degrees of longitude and
-    latitude are not: what looks like them is read with a warning. Project it first, to UTM for one.
+    Coordinates are taken as points of a plane with the same unit along both axes. Degrees of longitude and latitude
+    are not such points: if coordinates look like degrees, a warning says so. Project them first, for example to UTM.
 
     Args:
-        path: A FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of them.
-            What is null or empty counts for nothing, altitudes are dropped.
+        path: A file with a FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of
+            them. Null and empty geometries are skipped, altitudes are dropped.
         polygons: Whether the polygons are obstacles or free space.
-        bounds: The bounds, as for :class:`Workspace`. None: the file's ``"bbox"``, or the bounding box of all
-            polygons.
+        bounds: Bounds of the Workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
-    Returns:
-        The workspace.
-
     Raises:
-        ValueError: If the file is no GeoJSON, has a geometry of another kind or a polygon that is not simple and
-            finite, nothing is free, or an argument is none of the above.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not GeoJSON, has another kind of geometry or a polygon that is not simple and
+            finite, nothing is free, or an argument is invalid.
 
     References:
         H. Butler et al., "The GeoJSON Format", RFC 7946, 2016.
@@ -103,9 +93,11 @@ def read_geojson(
     with errors_named(path):
         document = json_of(path)
         if not is_geojson(document):
-            raise ValueError(f'expected GeoJSON, an object of "type" {", ".join(_HOLDS)}, got {shortened(document)}.')
+            raise ValueError(
+                f'expected GeoJSON, an object of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.'
+            )
         found, bbox = list(_polygons(document, "")), document.get("bbox")
-        if bounds is None and bbox is not None:  # west, south, east and north, perhaps with altitudes
+        if bounds is None and bbox is not None:  # [west, south, east, north], or six numbers with altitudes
             half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
             if not (half and _is_position(bbox) and _is_position(bbox[half:])):
                 raise ValueError(
@@ -127,18 +119,14 @@ def read_wkt(
 
     Args:
         path: A ``.wkt`` file of one geometry: a polygon, a multipolygon, or a collection of them. Empty geometries
-            count for nothing, altitudes and measures are dropped. Units are as for :func:`read_geojson`.
+            are skipped, altitudes and measures are dropped. Units are as for :func:`read_geojson`.
         polygons: Whether the polygons are free space or obstacles.
-        bounds: The bounds, as for :class:`Workspace`. None: the bounding box of all polygons.
+        bounds: Bounds of the Workspace. None: the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
-    Returns:
-        The workspace.
-
     Raises:
-        ValueError: If the file is no WKT, has a geometry of another kind or a polygon that is not simple and finite,
-            nothing is free, or an argument is none of the above.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not WKT, has another kind of geometry or a polygon that is not simple and finite,
+            nothing is free, or an argument is invalid.
     """
     path = Path(path)
     with errors_named(path):
@@ -169,18 +157,17 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, found: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """The workspace of polygons, whose bounding box gives the bounds where there are none."""
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
     if not found:
-        raise ValueError("expected a polygon at least, got none: the file has no geometry that is not empty.")
+        raise ValueError("expected at least one polygon, got none: all geometries of the file are empty.")
     extent = shapely.total_bounds(found).reshape(2, 2)
     width = np.ptp(extent, axis=0).max()
-    # Coordinates of a town in degrees are far from the origin for their extent, and no more than 180 and 90.
-    if (np.abs(extent) <= _DEGREES).all() and width < _SMALL and np.abs(extent).max() > 10 * width:
+    # A town in degrees is small and far from the origin, and within 180 and 90 degrees.
+    if (np.abs(extent) <= _DEGREES).all() and width < _MAX_TOWN and np.abs(extent).max() > 10 * width:
         warnings.warn(
-            f"{path}: coordinates look like degrees of longitude and latitude. They are taken for points of a "
-            "plane, in which a degree is as long along x as along y; project them first, to UTM for one.",
+            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane, in "
+            "which a degree is as long along x as along y. Project them first, for example to UTM.",
             stacklevel=3,
         )
     box = Box.of(extent if bounds is None else bounds, "bounds")
@@ -192,29 +179,29 @@ def _workspace_of(
         if bounds is not None:
             raise
         raise ValueError(
-            f"{error} They are the bounding box of the polygons: give bounds with room around those (in GeoJSON a "
-            "\"bbox\"), or say that polygons are 'free'."
+            f'{error} The bounds are the bounding box of the polygons: give larger bounds (in GeoJSON a "bbox"), or '
+            "polygons='free'."
         ) from error
 
 
 def is_geojson(document: Any) -> bool:
-    """Whether what a JSON file holds is to be GeoJSON."""
-    return isinstance(document, dict) and document.get("type") in (*_HOLDS, *_NOT_READ)
+    """Return whether the value of a JSON file claims to be GeoJSON."""
+    return isinstance(document, dict) and document.get("type") in (*_PARTS_KEY, *_UNSUPPORTED)
 
 
 def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.MultiPolygon]:
-    """All polygons of an object, which an error names by where it is in the file. What is null or empty has none."""
+    """Yield the polygons of an object; ``where`` names its place in the file for errors."""
     if entry is None:
         return
     kind, place = entry.get("type") if isinstance(entry, dict) else None, where or "the file"
-    if isinstance(kind, str) and kind in _NOT_READ and not entry.get("coordinates"):
+    if isinstance(kind, str) and kind in _UNSUPPORTED and not entry.get("coordinates"):
         return
-    if not isinstance(kind, str) or kind not in _HOLDS:
+    if not isinstance(kind, str) or kind not in _PARTS_KEY:
         got = shortened(entry if kind is None else kind)
-        raise ValueError(f'{place}: expected an object of "type" {", ".join(_HOLDS)}, got {got}.')
-    key = _HOLDS[kind]
+        raise ValueError(f'{place}: expected an object of "type" {", ".join(_PARTS_KEY)}, got {got}.')
+    key = _PARTS_KEY[kind]
     if key not in entry:
-        raise ValueError(f'{place}: a {kind} needs the key "{key}", and this one has only {", ".join(entry)}.')
+        raise ValueError(f'{place}: expected a {kind} to have the key "{key}", got only {", ".join(entry)}.')
     parts = entry[key]
     if kind == "Feature":
         yield from _polygons(parts, f"{where} geometry".strip())
@@ -233,7 +220,7 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
-    """The polygon of rings; none if they are null or empty."""
+    """Yield the polygon with these rings, or nothing if they are null or empty."""
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []
@@ -250,7 +237,7 @@ def _polygon(rings: Any, where: str) -> Iterator[Any]:
 
 
 def _is_position(value: Any) -> bool:
-    """Whether a value is a list that begins with two finite numbers, which texts and truth values are not."""
+    """Return whether a value is a list that begins with two finite numbers; strings and booleans are not."""
     return (
         isinstance(value, list)
         and len(value) >= 2

@@ -1,4 +1,4 @@
-"""Readers of the grid maps (``.map``) and scenarios (``.scen``) of the Moving AI benchmarks."""
+"""Readers of grid maps (``.map``) and scenarios (``.scen``) of the Moving AI benchmarks."""
 
 import os
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace.
 
-    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing downward as
-    in the file (a picture with ``y`` up shows the map upside down), so an integer point is a lattice corner. Free
-    space is the closed union of the passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost).
-    Any other letter is an obstacle.
+    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, so integer points are cell
+    corners. ``y`` grows downward as in the file; a picture with ``y`` up shows the map upside down. Free space is the
+    closed union of the passable cells: ``.`` and ``G`` (ground) and ``S`` (swamp, at no extra cost). All other
+    letters are obstacles.
 
     Args:
         path: The ``.map`` file.
@@ -32,8 +32,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
         The workspace; its bounds are the bounding box of the free cells.
 
     Raises:
-        ValueError: If the file is no Moving AI map, its rows do not match its header, or no cell is passable.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not a Moving AI map, its rows do not match its header, or no cell is passable.
 
     References:
         N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
@@ -45,20 +44,9 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
-    """Read which cells of a Moving AI ``.map`` grid are free, as :class:`GridGraph` takes them.
+    """Read which cells of a Moving AI ``.map`` grid are passable, as :class:`GridGraph` expects them.
 
-    Args:
-        path: The ``.map`` file.
-
-    Returns:
-        True where a cell is passable, as :func:`read_map` says, in the order of the file.
-
-    Raises:
-        ValueError: If the file is no Moving AI map, its rows do not match its header, or no cell is passable.
-        OSError: If the file cannot be read.
-
-    References:
-        https://movingai.com/benchmarks/formats.html.
+    Rows are in the order of the file; cells and errors are as for :func:`read_map`.
     """
     path = Path(path)
     with errors_named(path):
@@ -73,31 +61,31 @@ def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
             rows, columns = int(height), int(width)
         case _:
             raise ValueError(
-                "not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' "
-                "at its beginning."
+                "expected a Moving AI map that begins with the lines 'type octile', 'height N', 'width N' and 'map', "
+                f"got {shortened(lines[:_HEADER_LINES])}."
             )
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
-        raise ValueError(f"the map is cut short: its header promises {rows} rows, it has {len(grid)}.")
+        raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
     for number, line in enumerate(grid, start=_HEADER_LINES + 1):
         if len(line) != columns:
             raise ValueError(f"line {number}: expected {columns} cells, got {len(line)}.")
     free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
     if not free.any():
-        raise ValueError(f"the map has no passable cell (one of {', '.join(_PASSABLE)}).")
+        raise ValueError(f"expected at least one passable cell (one of {', '.join(_PASSABLE)}), got none.")
     return free
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """The queries of a Moving AI ``.scen`` file, one a row, in the order of the file.
+    """The queries of a Moving AI ``.scen`` file, one per row, in the order of the file.
 
     Attributes:
-        map_name: Name of the map the queries are for, as the file gives it.
-        starts: Start points, ``(n, 2)``, lattice corners as in :func:`read_map`.
+        map_name: Name of the map, as given in the file.
+        starts: Start points, ``(n, 2)``, in the coordinates of :func:`read_map`.
         goals: Goal points, ``(n, 2)``.
-        octile_lengths: Published length of the shortest path over the 8-connected grid, ``(n,)``, printed
-            to about six digits. Never below the Euclidean shortest path by more than that rounding.
+        octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
+            digits. Apart from rounding, a Euclidean shortest path is never longer.
     """
 
     map_name: str
@@ -109,15 +97,8 @@ class Scenario:
 def read_scen(path: str | os.PathLike[str]) -> Scenario:
     """Read the queries of a Moving AI ``.scen`` file.
 
-    Args:
-        path: The ``.scen`` file.
-
-    Returns:
-        Its starts, goals and published octile lengths.
-
     Raises:
-        ValueError: If the file is no Moving AI scenario, or a line is malformed (named by its number).
-        OSError: If the file cannot be read.
+        ValueError: If the file is not a Moving AI scenario or has no queries, or a line is malformed.
 
     References:
         https://movingai.com/benchmarks/formats.html.
@@ -126,7 +107,7 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
     with errors_named(path):
         lines = text_of(path).splitlines()
         if not lines or lines[0].split()[:1] != ["version"]:
-            raise ValueError("not a Moving AI scenario: expected its first line to be 'version 1'.")
+            raise ValueError("expected a Moving AI scenario, whose first line is 'version 1', got another file.")
         names, rows = [], []
         for number, line in enumerate(lines[1:], start=2):
             if not line.strip():
@@ -144,6 +125,6 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
             names.append(fields[1])
             rows.append(numbers)
         if not rows:
-            raise ValueError("the scenario has no queries.")
+            raise ValueError("expected at least one query, got none.")
     table = np.array(rows)
     return Scenario(names[0], table[:, 0:2], table[:, 2:4], table[:, 4])

@@ -1,4 +1,4 @@
-"""Readers of maps that are pictures, where light is free, alone or beside the YAML of ROS's ``map_server``."""
+"""Readers of maps stored as pictures, alone or with the YAML file of ROS's ``map_server``; light pixels are free."""
 
 import errno
 import math
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 YAML_ENDINGS = (".yaml", ".yml")
-_FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # of Pillow's those that run no other program
+_FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
-_SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # what a file may promise, whatever it holds, and else for what it holds
-_BYTES = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel, where they are not 4
-_BAND = 2**18  # pixels that become numbers at a time
+_SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # a file may have this many pixels, or this many per byte
+_BYTES = {"1": 1, "L": 1, "P": 1}  # bytes of a decoded pixel by mode; all other modes take 4
+_BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 OPAQUE = 255
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
-_PIXEL_IS_POINT = 1025, 0, 1, 2  # a key of GeoTIFF, by which places in the raster are those of pixels' centers
+_PIXEL_IS_POINT = 1025, 0, 1, 2  # with this GeoTIFF key, raster coordinates refer to pixel centers
 _BLACK_IS_ZERO, _SIGNED = 1, 2
-_GRAY_STEP = {"L;2": 85, "L;4": 17}  # of PNG: between two of a few grays, of 256
+_GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 
 
 def read_image(
@@ -50,28 +50,26 @@ def read_image(
 ) -> Workspace:
     """Read a picture of a map, such as a scanned floor plan, as a workspace.
 
-    What is light is free. Lightness is the mean of a pixel's colors, black 0 and white 1. Transparent pixels are seen
-    as on white paper, and the picture as its file says that it is to be turned. The lowest row has the least ``y``.
+    Light pixels are free. Lightness is the mean of a pixel's color channels, 0 for black and 1 for white. Transparent
+    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``.
 
     Args:
-        path: A picture of at most 16,777,216 pixels, 12,582,912 in color, but above 4,194,304 at most 4,096 for each
-            byte of the file: PNG, PGM, PBM, PPM, BMP, GIF (its first frame), JPEG, TIFF or WebP, in 8 or 16 bits a
-            color.
-        resolution: As for :meth:`Workspace.from_mask`, and so are ``origin``, ``tolerance``, ``drop_specks`` and
-            ``squeeze``.
-        origin: Of the outer corner of the picture's lower left pixel.
+        path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
+            most 16,777,216 pixels, or 12,582,912 in color; above 4,194,304 at most 4,096 per byte of the file.
+        resolution: Side of a pixel, in workspace units; this and the other arguments are as for
+            :meth:`Workspace.from_mask`.
+        origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
-        tolerance: Of the outline, in pixels.
-        drop_specks: Pixels of components that are dropped.
-        squeeze: As for the class.
+        tolerance: Tolerance of the outline, in pixels.
+        drop_specks: Components of at most this many pixels are dropped.
+        squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Returns:
-        The workspace; its bounds are the bounding box of what is free.
+        The workspace; its bounds are the bounding box of the free pixels.
 
     Raises:
-        ValueError: If the file is no such picture, is damaged or too large, nothing in it is free, or an argument is
-            out of range.
-        OSError: If the file cannot be read.
+        ValueError: If the file is not such a picture, is damaged or too large, nothing is free, or an argument is out
+            of range.
     """
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
@@ -81,10 +79,10 @@ def read_image(
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Which pixels of a picture are free, or of a map of ``map_server``; the picture's first row first."""
+    """Return which pixels of a picture or of a ``map_server`` map are free; row 0 is at the top."""
     if path.suffix.lower() in YAML_ENDINGS:
         return _MapServer.read(path).free(unknown_is_free=False)
-    with opened(path) as picture:
+    with open_picture(path) as picture:
         free = np.empty((picture.height, picture.width), bool)
         for rows, light, full, alpha in bands(picture):
             on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
@@ -93,37 +91,34 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 
 @contextmanager
-def opened(path: Path, *, floats: bool = False) -> Iterator["Image"]:
-    """A picture, decoded and turned as it says; ``ValueError`` if it is none, damaged, or too large to be decoded.
-
-    Args:
-        path: The file.
-        floats: Whether its pixels may be floating-point numbers.
-    """
+def open_picture(path: Path, *, floats: bool = False) -> Iterator["Image"]:
+    """Yield a decoded, upright picture; ``floats`` allows float pixels. ``ValueError`` if invalid or too large."""
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
         num_bytes = os.fstat(file.fileno()).st_size
         if num_bytes > _MOST_BYTES:
             raise ValueError(f"expected a picture of at most {_MOST_BYTES:,} bytes, got a larger file.")
-        warnings.simplefilter("ignore")  # of Pillow, about what is refused here or does not matter
+        warnings.simplefilter("ignore")  # Pillow warns of what is rejected here or harmless
         try:
             picture = Image.open(file, formats=_FORMATS)
-        except Exception as error:  # Pillow's decoders raise anything
+        except Exception as error:  # Pillow's decoders raise any kind of error
             expected = "a TIFF of 32-bit floats" if floats else f"a picture ({', '.join(_FORMATS)})"
             raise ValueError(f"expected {expected}, got something else ({error}).") from None
         with picture:
-            _require_modest(picture, num_bytes)
+            _require_limits(picture, num_bytes)
             if not (floats and picture.mode == "F"):
                 _require_plain(picture)
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
             except Exception as error:
-                raise ValueError(f"the picture is damaged ({error or type(error).__name__}).") from None
+                raise ValueError(
+                    f"expected a complete picture, got a damaged one ({error or type(error).__name__})."
+                ) from None
             yield picture
 
 
-def _require_modest(picture: "Image", num_bytes: int) -> None:
+def _require_limits(picture: "Image", num_bytes: int) -> None:
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES.get(picture.mode, 4) > _MOST_DECODED:
         raise ValueError(
@@ -134,47 +129,51 @@ def _require_modest(picture: "Image", num_bytes: int) -> None:
     if num_pixels > most:
         raise ValueError(
             f"expected at most {most:,} pixels in a file of {num_bytes:,} bytes, got {picture.width:,} x "
-            f"{picture.height:,}: it is damaged, or nearly all of it is of one color and can be cut off."
+            f"{picture.height:,}: it is damaged, or nearly all of one color; crop it."
         )
 
 
 def _require_plain(picture: Any) -> None:
-    """Refuse pixels of which Pillow does not tell how light they are, or which of them are transparent."""
+    """Reject pixels whose lightness or transparency Pillow does not decode reliably."""
     raw = str(picture.tile[0][3]) if picture.tile else ""
-    tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # more than 8 bits of gray
+    tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
     if tags and is_deep:
         is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
     if picture.mode == "F" or not is_plain:
         raise ValueError(
-            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of others: save it "
-            "in 8 bits."
+            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
+            "save it in 8 bits."
         )
     if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
-        raise ValueError("expected a transparent color of 8 bits, got one of 16: save it with an alpha channel.")
-    if raw in _GRAY_STEP and "transparency" in picture.info:  # which Pillow counts otherwise than pixels
+        raise ValueError(
+            "expected a transparent color of 8 bits, got 16 bits: save the picture with an alpha channel."
+        )
+    if (
+        raw in _GRAY_STEP and "transparency" in picture.info
+    ):  # Pillow scales pixels to 8 bits, but not the transparent gray
         picture.info["transparency"] *= _GRAY_STEP[raw]
 
 
 class Band(NamedTuple):
-    """Some rows of a picture: which, how light their pixels are, up to ``full``, and how opaque, up to 255."""
+    """A band of rows, with lightness from 0 to ``full`` and opacity from 0 to 255, None if all pixels are opaque."""
 
     rows: slice
     light: Int[np.ndarray, "rows columns"]
     full: int
-    alpha: Int[np.ndarray, "rows columns"] | None  # None: all of them are
+    alpha: Int[np.ndarray, "rows columns"] | None
 
 
 def bands(picture: "Image") -> Iterator[Band]:
-    """The rows of a picture, some at a time, from the top."""
+    """Yield a picture from the top in bands of rows, to bound the memory."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
         part = picture.crop((0, top, picture.width, bottom))
-        yield Band(slice(top, bottom), *_light_of(part))
+        yield Band(slice(top, bottom), *_lightness(part))
 
 
-def _light_of(
+def _lightness(
     part: "Image",
 ) -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
     if part.mode.startswith("I"):
@@ -186,13 +185,10 @@ def _light_of(
     return red + green + blue, 3 * (2**8 - 1), alpha if part.has_transparency_data else None
 
 
-# Readers of the maps of ROS's ``map_server``: a YAML file beside a picture.
-
-
 _REQUIRED = ("image", "resolution", "origin")
 _MODES = ("trinary", "scale", "raw")
-_RAW_FULL, _RAW_MOST = 255, 100  # a raw pixel is a share of occupancy in percent; unknown is what is beyond
-_FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # of occupancy grids
+_RAW_FULL, _RAW_MOST = 255, 100  # raw pixels up to 100 are occupancy in percent, others unknown
+_FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # values of occupancy grids
 
 
 def read_map_server(
@@ -205,30 +201,31 @@ def read_map_server(
 ) -> Workspace:
     """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in the frame of the map.
 
-    A pixel's occupancy is ``1 - lightness``, with ``negate`` its lightness. Below ``free_thresh`` it is free, above
-    ``occupied_thresh`` occupied, else unknown. What transparency means depends on the mode. ``trinary``: in a picture
-    with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS and in Nav2 up to Jazzy.
-    ``scale``: pixels that are not opaque are unknown. ``raw``: pixels from 0 to 100 are the occupancy in percent, and
-    other pixels are unknown; alpha does not count.
+    The occupancy of a pixel is ``1 - lightness``, or its lightness if ``negate`` is set. A pixel is free below
+    ``free_thresh``, occupied above ``occupied_thresh``, and unknown between. The mode decides about transparency:
 
-    ``origin`` is the pose ``[x, y, yaw]`` of the lower left pixel's outer corner: the map is turned about it by
-    ``yaw`` radians, counterclockwise, whatever that does to the bounds.
+    - ``trinary``: in a picture with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS
+      and in Nav2 up to Jazzy.
+    - ``scale``: pixels that are not opaque are unknown.
+    - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
+
+    ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel. The map is rotated about it by
+    ``yaw`` radians counterclockwise.
 
     Args:
-        path: The ``.yaml`` file. Its ``image`` is relative to its folder. ``negate`` is 0 where it is missing,
-            ``occupied_thresh`` 0.65, ``free_thresh`` 0.196, and ``mode`` ``trinary``.
-        unknown_is_free: Whether what is unknown is free; else it is an obstacle.
-        tolerance: As for :meth:`Workspace.from_mask`, and so are ``drop_specks`` and ``squeeze``.
-        drop_specks: Pixels of components that are dropped.
-        squeeze: As for the class.
+        path: The ``.yaml`` file. Its ``image`` is relative to its folder. Defaults are ``negate`` 0,
+            ``occupied_thresh`` 0.65, ``free_thresh`` 0.196 and ``mode`` ``trinary``.
+        unknown_is_free: Whether unknown pixels are free; otherwise they are obstacles.
+        tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
+        drop_specks: Components of at most this many pixels are dropped.
+        squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Returns:
-        The workspace, in meters; its bounds are the bounding box of what is free. It knows no costs: what lies
-        between the thresholds is unknown, in the mode ``scale`` as well, where :func:`read_cost_map` has costs.
+        The workspace, in meters; its bounds are the bounding box of the free pixels. It has no costs: pixels between
+        the thresholds are unknown even in mode ``scale``, where :func:`read_cost_map` reads costs.
 
     Raises:
-        ValueError: If the file is no such map, its picture is damaged or too large, or nothing in it is free.
-        OSError: If a file cannot be read.
+        ValueError: If the file is not such a map, its picture is damaged or too large, or nothing is free.
 
     References:
         http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
@@ -249,38 +246,39 @@ def read_cost_map(
     unknown_is_free: bool = False,
     interpolation: str = "bilinear",
 ) -> RasterCost:
-    """Read a map of ROS's ``map_server``, or a TIFF of costs, as a cost map in the frame of the map.
+    """Read a map of ROS's ``map_server``, or a TIFF of cost factors, as a cost map in the frame of the map.
 
-    Pixels of ``map_server`` become the values of an occupancy grid as it makes them. In the mode ``trinary`` they are
-    0 where :func:`read_map_server` finds them free, 100 where occupied, and -1 where unknown. In the mode ``scale``
-    what is neither is from 0 to 100 as its occupancy is between the thresholds, rounded, and only what is not opaque
-    is unknown (gray 205, which means that elsewhere, is free). In the mode ``raw``, which knows no thresholds, they
-    are the percents themselves. Occupied cells are blocked; of a map without other costs
-    ``read_cost_map(path).inflated(inscribed_radius)`` is what a robot's cost map is.
+    Pixels of ``map_server`` become values of an occupancy grid, by mode:
 
-    Pixels of a TIFF of 32-bit floats are the factors themselves. A cell is blocked where the factor is ``inf``, NaN,
-    or the value that GDAL's tag names as missing. A GeoTIFF lies where its tags say, in its own units; in other files
-    a pixel is a square of side 1, and the outer corner of the lower left one is ``(0, 0)``.
+    - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
+    - ``scale``: the same, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels that
+      are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
+    - ``raw``: the percentages themselves, without thresholds.
+
+    Occupied cells are blocked. If a map has no other costs, ``read_cost_map(path).inflated(inscribed_radius)`` gives
+    a robot's usual cost map.
+
+    Pixels of a TIFF of 32-bit floats are the factors themselves: costs per unit of length. A cell is blocked where
+    the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF lies where its tags say, in its own units. In other
+    TIFFs a pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Args:
-        path: The ``.yaml`` file, as for :func:`read_map_server`, or a ``.tif`` or ``.tiff`` file of one channel of
-            floats; of a map that is not turned.
-        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`, and so is ``unknown_is_free``; neither
-            is for a TIFF.
-        unknown_is_free: Whether what is unknown may be passed, as dear as the dearest cell; else it is blocked.
+        path: The ``.yaml`` file of a map without rotation, as for :func:`read_map_server`, or a ``.tif`` or ``.tiff``
+            file with one channel of floats.
+        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`; not for a TIFF.
+        unknown_is_free: Whether unknown cells may be passed at the highest cost; otherwise they are blocked. Not for
+            a TIFF.
         interpolation: As for :class:`RasterCost`.
 
     Returns:
-        The cost map of all pixels of the picture, in meters or in the units of the GeoTIFF.
+        The cost map of all pixels, in meters or in the units of the GeoTIFF.
 
     Raises:
-        ValueError: If the file is no such map, it is turned, its picture is damaged or too large, all is blocked, or
-            an option is given that is not for this kind of file.
-        OSError: If a file cannot be read.
+        ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
+            blocked, or an option is not for this kind of file.
 
     References:
-        https://docs.nav2.org/configuration/packages/configuring-map-server.html;
-        OGC GeoTIFF Standard 1.1, 2019.
+        https://docs.nav2.org/configuration/packages/configuring-map-server.html; OGC GeoTIFF Standard 1.1, 2019.
     """
     path = Path(path)
     with errors_named(path):
@@ -292,8 +290,7 @@ def read_cost_map(
         x, y, yaw = map_server.origin
         if yaw != 0:
             raise ValueError(
-                f"expected an origin with yaw 0, as the cells of a raster lie along the axes, got {yaw:g}: turn the "
-                "picture."
+                f"expected an origin with yaw 0, as a raster lies along the axes, got {yaw:g}: rotate the picture."
             )
         grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
@@ -308,22 +305,21 @@ def read_cost_map(
 
 
 def _read_factors(path: Path, interpolation: str) -> RasterCost:
-    """The cost map whose factors are the pixels of a TIFF."""
-    with opened(path, floats=True) as picture:
+    with open_picture(path, floats=True) as picture:
         if picture.mode != "F":
             raise ValueError(
-                f"expected a TIFF of 32-bit floats, got a picture of mode {picture.mode}. For gray values of "
-                "map_server give its .yaml file."
+                f"expected a TIFF of 32-bit floats, got a picture of mode {picture.mode}. For a map of map_server "
+                "give its .yaml file."
             )
         tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
         factors = np.array(picture, np.float32)[::-1]
-    # 1. What is missing.
+    # 1. Block cells without data.
     with np.errstate(over="ignore"):
         factors[factors == np.float32(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))] = np.inf
-    # 2. Where the pixels are: one place in the raster, that place in the map, and the sides of a pixel.
+    # 2. Locate the raster: the tie point is one point in raster and in map coordinates.
     if _TRANSFORMATION in tags:
         raise ValueError(
-            "expected a GeoTIFF whose rows lie along x, got one with a transformation: turn the picture."
+            "expected a GeoTIFF whose rows lie along x, got one with a transformation: rotate the picture."
         )
     rows, columns = factors.shape
     column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))
@@ -347,7 +343,7 @@ def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any
 
 @dataclass(frozen=True, eq=False)
 class _MapServer:
-    """What the YAML file of a map says."""
+    """The content of the YAML file of a ``map_server`` map."""
 
     image: Path
     resolution: float
@@ -359,7 +355,7 @@ class _MapServer:
 
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
-        """The file of a map; ``ValueError`` if it is none, an error of the system if its picture is missing."""
+        """Read the file; ``ValueError`` if it is invalid, ``FileNotFoundError`` if its picture is missing."""
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -367,7 +363,7 @@ class _MapServer:
         if not isinstance(entry["image"], str) or (image := path.parent / entry["image"]).is_dir():
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         if not image.exists():
-            raise FileNotFoundError(errno.ENOENT, f"No such picture, which is the image of {path}", str(image))
+            raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
         mode, negate = entry.get("mode", "trinary"), entry.get("negate", 0)
         if mode not in _MODES:
             raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
@@ -380,8 +376,8 @@ class _MapServer:
     def cells(
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
     ) -> Shaped[np.ndarray, "rows columns"]:
-        """What a function makes of the pixels' occupancy, NaN where it is unknown; the picture's first row first."""
-        with errors_named(self.image), opened(self.image) as picture:
+        """Apply a function to the occupancy of all pixels, NaN where unknown; row 0 is at the top."""
+        with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
                 if self.mode == "trinary" and alpha is not None:
@@ -396,12 +392,11 @@ class _MapServer:
         return cells
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
-        """Which pixels are free; the picture's first row first."""
         least, most = self.free_thresh, self.occupied_thresh
         return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Values of cells of ROS's ``OccupancyGrid``, from 0 to 100, and -1 where they are unknown."""
+        """Convert occupancy to values of ROS's ``OccupancyGrid``: 0 to 100, or -1 for unknown."""
         between = np.full(occupancy.shape, _UNKNOWN, np.float64)
         if self.mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))

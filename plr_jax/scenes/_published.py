@@ -1,6 +1,6 @@
-"""The published scenes: the problems that the experiments are about.
+"""The published scenes on which the experiments are run, and perturbed variants of any problem.
 
-The floor plan and the scenes of teams are scene files in the folder ``published`` beside this module.
+Scenes with many vertices or robots are scene files in the folder ``published``.
 """
 
 import math
@@ -17,27 +17,20 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, PointRobot
 from plr_jax.scenes._file import load
 
-# Variants of a problem, to see how much a result owes to the starts and goals of one.
-
-
 _ATTEMPTS = 1000
 
 
 def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
-    """The problem with its starts and goals moved a little, all still free.
+    """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
     Args:
         problem: The problem.
-        seed: Seed of the generator; the same seed gives the same variant.
-        distance: How far a start or goal moves at most, in workspace units. A heading turns by as
-            much as takes the robot's farthest corner that far.
-
-    Returns:
-        A problem that differs in its starts and goals alone.
+        seed: Seed of the random generator.
+        distance: Largest displacement of a start or goal, in workspace units. Headings turn by at most as much as
+            moves the robot's farthest corner that far.
 
     Raises:
-        ValueError: If the distance is not positive and finite, the seed no integer of at least 0, or no variant is
-            found that is free.
+        ValueError: If an argument is out of range, or no free variant is found.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)
@@ -49,7 +42,6 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 
 
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
-    """The problem with a robot's start or goal moved to a free configuration near it."""
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
@@ -58,10 +50,9 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
             ends[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
         with suppress(ValueError):
             return Problem(problem.workspace, problem.robots, ends[0], ends[1], problem.rotation_weight)
-    raise ValueError(f"Robot {i} found no other free {('start', 'goal')[end]} within {distance:g}.")
-
-
-# Scenes for large teams of discs: two halls with one door between them, and a crowd in the open.
+    raise ValueError(
+        f"Robot {i} has no other free {('start', 'goal')[end]} within {distance:g} in {_ATTEMPTS:,} attempts."
+    )
 
 
 _RADIUS = 0.4
@@ -75,19 +66,11 @@ _MOST_TRIALS = 1_000_000
 
 
 def door(num_robots: int) -> Problem:
-    """Discs in two halls, 10 x 20 each, that change halls by way of one door, 1.5 diameters wide.
+    """Discs of radius 0.4 in two halls, 10 x 20 each, that change halls through one door, 1.5 diameters wide.
 
-    Half of them start in each hall, on points (1 + 1.7 i, 2 + 3.9 j) and their mirror images, row by row. Each goes
-    to the mirror image of its start: two change places.
-
-    Args:
-        num_robots: An even number from 2 to 50; the first half starts to the left of the door.
-
-    Returns:
-        The problem: discs of radius 0.4.
-
-    Raises:
-        ValueError: For another number of robots.
+    Half of them, the first ones, start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row; the others
+    start on their mirror images. Each goes to the mirror image of its start, so pairs of robots swap places.
+    ``num_robots`` is even, from 2 to 50; otherwise ``ValueError`` is raised.
     """
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
@@ -101,17 +84,10 @@ def door(num_robots: int) -> Problem:
 
 
 def crowd(num_robots: int, seed: int = 0) -> Problem:
-    """Discs that cover 15 % of an open square, at random places and bound for others.
+    """Discs of radius 0.4 that cover 15 % of an open square, with random starts and goals.
 
-    Args:
-        num_robots: At least 1.
-        seed: Of the random places. Starts keep 0.05 clear of the walls and of one another, and so do goals.
-
-    Returns:
-        The problem: discs of radius 0.4.
-
-    Raises:
-        ValueError: If there is no robot, the seed is no integer of at least 0, or no places are found.
+    Starts keep 0.05 clear of the walls and of one another, and so do goals. ``ValueError`` is raised if an argument
+    is out of range or no positions are found.
     """
     require_integer("num_robots", num_robots, 1)
     require_integer("seed", seed, 0)
@@ -122,7 +98,7 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    """Places in a square, one after the other, each uniform among those clear of the walls and of those before."""
+    """Sample positions in a square one by one, each clear of the walls and of earlier positions."""
     places, margin = np.empty((num_robots, 2)), _RADIUS + _CLEAR
     placed = 0
     for _ in range(_MOST_TRIALS):
@@ -132,13 +108,13 @@ def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[
             placed += 1
             if placed == num_robots:
                 return places
-    raise ValueError(f"Found no places for {num_robots} robots; try another seed.")
+    raise ValueError(f"Found no positions for {num_robots} robots: try another seed.")
 
 
 _FOLDER = Path(__file__).parent / "published"
 _START, _GOAL = (0.93, 0.95), (0.06, 0.07)
 
-# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, so no cell boundary can hide one.
+# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where a cell boundary would coincide with it.
 _MAZE = (
     (0.00, 0.19, 0.71, 0.23),
     (0.27, 0.43, 1.00, 0.47),
@@ -158,83 +134,52 @@ _THIN_MAZE = (
 
 
 def maze() -> Problem:
-    """A point robot in the unit square among six walls, each 0.04 thick.
-
-    Returns:
-        The problem: start (0.93, 0.95), goal (0.06, 0.07).
-    """
+    """A point robot in the unit square among six walls, 0.04 thick; start (0.93, 0.95), goal (0.06, 0.07)."""
     return _point_problem(_MAZE)
 
 
 def thin_maze() -> Problem:
-    """The maze with walls 0.01 thick along the same center lines: distance jumps over a short way.
-
-    Returns:
-        The problem: start and goal as in :func:`maze`.
-    """
+    """The maze with walls 0.01 thick along the same center lines, across which distances jump."""
     return _point_problem(_THIN_MAZE)
 
 
 def floor_plan() -> Problem:
-    """A point robot on a furnished floor of offices, 24 m x 15 m, from the lounge to the kitchen.
+    """A point robot on a furnished office floor, 24 m x 15 m, from the lounge to the kitchen.
 
-    Eleven rooms along a hallway and a lobby, walls 0.16 m thick, doors 0.8 to 1.4 m wide, more than 200 corners in
-    all. Several loops of rooms and doors lead most of the way.
-
-    Returns:
-        The problem: start (23.2, 11.6), goal (1.2, 1.2).
+    There are eleven rooms along a hallway and a lobby, walls 0.16 m thick, doors 0.8 to 1.4 m wide, more than 200
+    corners and several loops. The start is (23.2, 11.6), the goal (1.2, 1.2).
     """
     return load(_FOLDER / "floor_plan.json")
 
 
 def single_door() -> Problem:
-    """A disc in two rooms, 10 x 10 in all, joined by a door 1.25 diameters wide.
-
-    Returns:
-        The problem: a disc of radius 0.4.
-    """
+    """A disc of radius 0.4 in two rooms, 10 x 10 in all, joined by a door 1.25 diameters wide."""
     return load(_FOLDER / "single_door.json")
 
 
 def four_rooms(num_robots: int) -> Problem:
-    """Discs that change rooms by way of one center, through doors 1.25 diameters wide.
+    """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    Args:
-        num_robots: 2, 3 or 4: one starts in each of the first rooms, bound for the opposite one. 8: two in
-            each room.
-
-    Returns:
-        The problem: discs of radius 0.4.
-
-    Raises:
-        ValueError: For another number of robots.
+    ``num_robots`` is 2, 3 or 4, with one robot in each of the first rooms, or 8, with two in each room. All go to the
+    opposite room. Another number raises ``ValueError``.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
 
 def cross(num_robots: int) -> Problem:
-    """Discs in two hallways that cross, 1.5 diameters wide: two cannot pass side by side.
+    """Discs of radius 0.4 in two crossing hallways, 1.5 diameters wide: two discs cannot pass each other.
 
-    Args:
-        num_robots: 2, facing one another in one hallway, or 3, the third in the other.
-
-    Returns:
-        The problem: discs of radius 0.4.
-
-    Raises:
-        ValueError: For another number of robots.
+    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other hallway. Another number raises
+    ``ValueError``.
     """
     return _team("cross", num_robots, (2, 3))
 
 
 def tangle() -> Problem:
-    """Two rectangles, 1.8 x 0.5, that change places in a hallway with a bay.
+    """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay.
 
-    They can neither pass nor turn in the hallway; the bay is narrower than a rectangle is long and too
+    They can neither pass each other nor turn in the hallway. The bay is narrower than a rectangle is long, and too
     shallow to park in.
-
-    Returns:
-        The problem.
     """
     return load(_FOLDER / "tangle.json")
 
@@ -242,7 +187,7 @@ def tangle() -> Problem:
 def _team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
     if num_robots not in numbers:
         choices = ", ".join(map(str, numbers))
-        raise ValueError(f"The scene {name} has {choices} robots; there is none with {num_robots!r}.")
+        raise ValueError(f"The scene {name} must have {choices} robots, got {num_robots!r}.")
     return load(_FOLDER / f"{name}_{num_robots}.json")
 
 

@@ -1,4 +1,4 @@
-"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes."""
+"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes, which are voxelized."""
 
 import os
 from collections.abc import Iterator
@@ -16,13 +16,12 @@ from plr_jax.scenes._meshes import MESH_ENDINGS, Triangles, read_mesh
 
 _MOST_VOXELS, _MOST_RANK = 2**28, 4
 _MOST_LIST_BYTES = 2**25
-_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may promise this many voxels, or this many for each byte
-
+_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may have this many voxels, or this many per byte of the file
 _MOST_MESH_VOXELS = 2**24
-_MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows that pieces of triangles reach, and voxels that they meet
-_AT_A_TIME = 2**15  # slabs or rows, which bounds the memory
-_TOUCHES = 1e-6  # of a voxel: how far from a voxel the surface still counts as meeting it
-_FARTHEST = 2**30  # voxels from the bounds: rounding of coordinates stays below `_TOUCHES`
+_MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet, each counted once per triangle
+_AT_A_TIME = 2**15  # slabs or rows in a batch, which bounds the memory
+_TOUCHES = 1e-6  # voxels: a surface this close to a voxel meets it
+_FARTHEST = 2**30  # voxels: within this distance, rounding errors of coordinates stay below `_TOUCHES`
 
 Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
 Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
@@ -35,36 +34,32 @@ def read_volume(
     bounds: Box | ArrayLike | None = None,
     fill: bool = True,
 ) -> Bool[np.ndarray, "..."]:
-    """Read which voxels of a volume are free.
+    """Read which voxels of a volume are free: a boolean array ``free[x, y, z]`` in C order.
 
     Args:
-        path: One of three kinds of files, by its ending.
+        path: A file of one of three kinds, by its ending.
 
-            ``.npy``: an array of one to four axes, of booleans, or of integers 0 and 1, which is free; at most
-            268,435,456 voxels. No pickles.
+            ``.npy``: an array of one to four axes and at most 268,435,456 voxels: booleans or integers, 0 for blocked
+            and 1 for free. No pickles.
 
-            ``.3dmap``: voxels of the Moving AI benchmarks, ``voxel nx ny nz`` in the first line, then the indices
-            ``x y z`` of one blocked voxel a line; at most 32 MiB, and as many voxels, but above 16,777,216 at most
-            256 for each byte of the file.
+            ``.3dmap``: voxels of the Moving AI benchmarks. The first line is ``voxel nx ny nz``; each other line has
+            the indices ``x y z`` of a blocked voxel. At most 32 MiB and 268,435,456 voxels, but above 16,777,216
+            voxels at most 256 per byte of the file.
 
-            ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, concave ones too, as text or in binary; at most 64
-            MiB and 16,777,216 voxels. A voxel is blocked if the surface meets it, its faces included, to a
-            millionth of a voxel: nothing is free that the mesh touches, and where the surface lies in a plane of the
-            grid, the voxels on both sides are blocked.
-        pitch: Of a mesh, and needed there: the width of the voxels, in its units.
-        bounds: Of a mesh, the Box, or its corners, that the voxels fill, the last ones beyond it if the pitch does
-            not divide its width. None: the bounding box of the mesh, in whose lower corner voxel ``[0, 0, 0]`` is.
-        fill: Of a mesh, whether what its surface encloses is blocked as well: all voxels from which no way, face by
-            face, leads to the faces of the grid. So are the rooms of a closed building: False leaves them free. A
-            surface with holes that are wider than a voxel encloses nothing.
-
-    Returns:
-        True where a voxel is free, in C order; ``[i, j, k]`` is the voxel ``i`` along the first axis, ``x``.
+            ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, convex or not, text or binary; at most 64 MiB and
+            16,777,216 voxels. A voxel is blocked if the surface meets the closed voxel, up to a millionth of a voxel.
+            So if the surface lies in a plane between voxels, the voxels on both sides are blocked.
+        pitch: Side of a voxel, in units of the mesh. Required for meshes, and only allowed there.
+        bounds: For meshes, the Box that the voxels fill, or its corners; the last voxels extend beyond it if the
+            pitch does not divide its width. None: the bounding box of the mesh. Voxel ``[0, 0, 0]`` is at the lower
+            corner.
+        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
+            the border of the grid. This also blocks the rooms of a closed building; False leaves them free. A surface
+            with holes wider than a voxel encloses nothing.
 
     Raises:
-        ValueError: If the file is of no such kind, is damaged or too large, nothing in it is free, or an argument is
-            out of range or given for another kind of file.
-        OSError: If the file cannot be read.
+        ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is out
+            of range or not for this kind of file.
 
     References:
         D. Brewer and N. Sturtevant, "Benchmarks for pathfinding in 3D voxel space", SoCS 2018.
@@ -83,28 +78,30 @@ def read_volume(
             free = _read_array(path) if ending == ".npy" else _read_list(path)
         else:
             if pitch is None:
-                raise ValueError("a mesh needs a pitch, the width of its voxels: give one.")
+                raise ValueError("expected a pitch, the side of a voxel, for a mesh: give one.")
             box = None if bounds is None else Box.of(bounds, "bounds")
             if box is not None and box.dim != 3:
                 raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
             free = free_of_mesh(read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
     if not free.any():
-        enclosed = ": fill=False leaves free what the surface encloses" if is_mesh and fill else ""
-        raise ValueError(f"{path}: the volume has no free voxel{enclosed}.")
+        enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
+        raise ValueError(f"{path}: expected at least one free voxel, got none{enclosed}.")
     return free
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
-    try:  # mapped, so that a header promises no more than the file holds
+    try:  # memory-mapped: a header that promises more than the file holds fails early
         values = np.lib.format.open_memmap(path, mode="r")
     except OSError:
         raise
-    except Exception as error:  # NumPy's reader of headers raises many kinds
+    except Exception as error:  # NumPy's header parser raises many kinds of errors
         raise ValueError(f"expected an array of NumPy, got something else or a damaged file ({error}).") from None
     if not 1 <= values.ndim <= _MOST_RANK or not 0 < values.size <= _MOST_VOXELS:
         expected = f"one to {_MOST_RANK} axes and one to {_MOST_VOXELS:,} voxels"
         raise ValueError(f"expected {expected}, got shape {shortened(values.shape)}.")
-    numbers = values.view(np.uint8) if values.dtype == bool else values  # a file may hold bytes that are no booleans
+    numbers = (
+        values.view(np.uint8) if values.dtype == bool else values
+    )  # bytes of a boolean array may be neither 0 nor 1
     if values.dtype.kind not in "biu" or numbers.min() < 0 or numbers.max() > 1:
         raise ValueError(f"expected booleans, or integers 0 and 1, got other values or type, {values.dtype}.")
     return np.array(numbers, dtype=bool, order="C")
@@ -113,28 +110,28 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
 def _read_list(path: Path) -> Voxels:
     text = text_of(path, _MOST_LIST_BYTES)
     first, _, rest = text.partition("\n")
-    # 1. How many voxels there are along each axis.
+    # 1. Read the number of voxels along each axis.
     match first.split():
         case ["voxel", *sizes] if len(sizes) == 3 and all(size.isdecimal() and len(size) < 10 for size in sizes):
             shape = int(sizes[0]), int(sizes[1]), int(sizes[2])
         case _:
             raise ValueError(
-                f"not a list of voxels: expected 'voxel nx ny nz' in its first line, got {shortened(first)}."
+                f"expected a list of voxels with the first line 'voxel nx ny nz', got {shortened(first)}."
             )
     most = min(_MOST_VOXELS, max(_SMALL_LIST, _VOXELS_PER_BYTE * len(text)))
     if not 0 < shape[0] * shape[1] * shape[2] <= most:
         raise ValueError(f"expected one to {most:,} voxels in a file of this size, got {' x '.join(sizes)}.")
     free = np.ones(shape, bool)
-    # 2. The indices of those that are blocked.
+    # 2. Read the indices of blocked voxels.
     lines = [line for line in rest.splitlines() if line and not line.isspace()]
     if not lines:
         return free
     try:
         blocked = np.loadtxt(lines, comments=None, ndmin=2)
     except ValueError as error:
-        raise ValueError(f"expected a blocked voxel 'x y z' a line ({error}).") from None
+        raise ValueError(f"expected a blocked voxel 'x y z' in each line ({error}).") from None
     if blocked.shape[1] != 3:
-        raise ValueError(f"expected a blocked voxel 'x y z' a line, got {shortened(lines[0])}.")
+        raise ValueError(f"expected a blocked voxel 'x y z' in each line, got {shortened(lines[0])}.")
     bad = ~((blocked >= 0) & (blocked < shape) & (blocked == np.floor(blocked))).all(axis=1)
     if bad.any():
         raise ValueError(f"expected indices of voxels within {shape}, got {blocked[bad.argmax()].tolist()}.")
@@ -143,7 +140,7 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
-    """Return which voxels of a grid over the bounds, or over the bounding box of the mesh, are free of the mesh."""
+    """Voxelize a mesh over the bounds, or over its bounding box; return which voxels are free."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
@@ -158,7 +155,7 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
     free = ~blocked
     if not fill:
         return free
-    # What no way, face by face, joins to the faces of the grid is enclosed.
+    # Voxels that are not connected to the border of the grid through faces are enclosed.
     from scipy import ndimage
 
     labeled: Any = ndimage.label(free)
@@ -170,54 +167,56 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
     return reached[part]
 
 
-# Scan conversion: triangles are cut into slabs between planes of the grid, these into rows along another axis, and
-# what is left of a triangle in a row meets a run of voxels. Pieces are convex: their outlines say how far they reach.
+# Scan conversion: triangles are cut into slabs between planes of the grid, and slabs into rows along a second axis.
+# In each row, a piece of a triangle meets a range of voxels. Pieces are convex, so their outlines give their extent.
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Block all voxels that triangles, in units of voxels, meet, their faces included."""
+    """Block all closed voxels that triangles, in units of voxels, meet."""
     if not (np.abs(triangles) <= _FARTHEST).all():
-        raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that leads farther.")
-    order = np.argsort(blocked.shape, kind="stable")  # runs along the longest axis
+        raise ValueError(
+            f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that is farther away."
+        )
+    order = np.argsort(blocked.shape, kind="stable")  # ranges of voxels run along the longest axis
     blocked, corners = blocked.transpose(order), triangles.transpose(2, 1, 0)[order]
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
     edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
     num_rows = num_met = 0
-    for triangle, slab in _layers(edges[0], blocked.shape[0]):
-        outlines = _outlines(_clipped(edges[..., triangle], slab))
-        for piece, row in _layers(outlines[0], blocked.shape[1]):
-            (along,) = _clipped(outlines[..., piece], row)
-            first, count = _reaches(along, blocked.shape[2])
+    for triangle, slab in _split_into_layers(edges[0], blocked.shape[0]):
+        outlines = _outlines(_clip_to_layers(edges[..., triangle], slab))
+        for piece, row in _split_into_layers(outlines[0], blocked.shape[1]):
+            (along,) = _clip_to_layers(outlines[..., piece], row)
+            first, count = _layer_range(along, blocked.shape[2])
             num_rows, num_met = num_rows + len(row), num_met + int(count.sum())
             if num_rows > _MOST_ROWS or num_met > _MOST_MET:
-                raise ValueError("the triangles meet too many voxels, one after the other: give a larger pitch.")
+                raise ValueError("the triangles meet too many voxels in all: give a larger pitch.")
             run, place = ragged_indices(count)
             blocked[slab[piece][run], row[run], first[run] + place] = True
 
 
-def _layers(
+def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
-    """Pieces and the layers of the grid across an axis that they reach into, some at a time."""
-    first, count = _reaches(ends, size)
+    """Yield batches of pieces and the grid layers that they reach, along an axis with ``size`` layers."""
+    first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
         yield piece + part.start, first[part][piece] + place
 
 
-def _reaches(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """The first layer across an axis that each piece reaches into, and how many of them the grid has."""
+def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Return the first grid layer that each piece reaches, and the number of layers."""
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
     return first, np.maximum(last - first + 1, 0)
 
 
-def _clipped(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
-    """What of edges is within a layer each across the first axis, along the others; NaN if nothing is."""
+def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
+    """Clip each edge to a layer across the first axis, dropping that axis; NaN if nothing is left."""
     begin, end = edges[0]
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
-    change[change == 0] = np.nan  # an edge in the layer, all of it, or in none
+    change[change == 0] = np.nan  # an edge parallel to the layer lies in it as a whole or not at all
     enters, leaves = (floor - begin) / change, (ceiling - begin) / change
     shares = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
     is_outside = (np.maximum(begin, end) < floor) | (np.minimum(begin, end) > ceiling)
@@ -226,7 +225,7 @@ def _clipped(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """The outlines of triangles in slabs: of edges, which ascend, what is within, and what joins their ends."""
+    """Return the outlines of clipped triangles: their clipped edges, and segments that join the edges' ends."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

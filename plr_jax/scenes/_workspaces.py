@@ -1,4 +1,4 @@
-"""One door for all maps: a workspace from a file of any kind that can be read."""
+"""Reading a workspace from a file of any supported format."""
 
 import inspect
 import os
@@ -17,37 +17,35 @@ _ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS
 
 
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
-    """Read a workspace from a file of any kind, by its ending and what is in it.
+    """Read a workspace from a file of any supported format, chosen by the file's ending and content.
 
     Args:
         path: A picture (:func:`read_image`); a map of ``map_server``, ``.yaml`` (:func:`read_map_server`); GeoJSON,
             ``.json`` or ``.geojson`` (:func:`read_geojson`); well-known text, ``.wkt`` (:func:`read_wkt`); a Moving
             AI grid, ``.map`` (:func:`read_map`); polygons with holes, ``.json`` (:func:`read_polygons`); a scene,
             ``.json`` (:func:`load`).
-        **options: Those of the reader.
-
-    Returns:
-        The workspace.
+        **options: Keyword arguments of that reader.
 
     Raises:
-        ValueError: If the file is of no such kind, is damaged, or has no such option.
-        OSError: If the file cannot be read.
+        ValueError: If the format is not supported, the file is damaged, or the reader has no such option.
     """
     path = Path(path)
     reader = reader_of(path)
     known = options_of(reader)
     if unknown := ", ".join(name for name in options if name not in known):
-        raise ValueError(f"{path}: {unknown} is no option of files of this kind; they have {known or 'none'}.")
+        raise ValueError(
+            f"{path}: expected options of this kind of file ({', '.join(known) or 'none'}), got {unknown}."
+        )
     return reader(path, **options)
 
 
 def options_of(reader: Callable[..., Workspace]) -> list[str]:
-    """What a reader can be told besides the path."""
+    """Return the names of a reader's keyword arguments."""
     return list(inspect.signature(reader).parameters)[1:]
 
 
 def reader_of(path: Path) -> Callable[..., Workspace]:
-    """The reader of a file; ``ValueError`` if there is none."""
+    """Return the reader of a file; ``ValueError`` if its format is not supported."""
     match path.suffix.lower():
         case ".map":
             return read_map

@@ -1,4 +1,4 @@
-"""The configuration space of an arm: links one after the other in the plane, turned by revolute joints."""
+"""The configuration space of a planar arm: a chain of links that revolute joints turn."""
 
 import math
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import shorter_turn
-from plr_jax.spaces._plane import come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
-_BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
+_BOXES, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 12
-_SIDES = 12  # of the polygons around what ends of links sweep, which reach 3.5 % farther than the discs within them
-_PROBES = np.array([0.0, 0.5, 1.0])  # shares of each link at which it is looked for in obstacles
+_SIDES = 12  # of the polygon around a disc that a link's end sweeps; it reaches 3.5 % farther than the disc
+_PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
 Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
@@ -31,26 +31,21 @@ Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 class PlanarArm:
     """Joint angles of an arm in a workspace; a motion costs its length in joint space, in radians.
 
-    The first angle is that of the first link to the x axis, each other one that of a link to the link before, all
-    counterclockwise and modulo a full turn. Free is what keeps all links off obstacles and within the bounds, to
-    ``workspace.tolerance``, and on request off one another. What is proven of a box of configurations is the closer
-    to the truth the smaller the box is.
+    The first angle is that of the first link to the x axis; each other angle is measured from the previous link.
+    Angles are counterclockwise and modulo a full turn. A configuration is free if all links avoid obstacles and the
+    outside of the bounds, up to ``workspace.tolerance``, and on request one another. Classification of boxes is
+    conservative, and tighter for smaller boxes.
 
     Args:
-        workspace: Where the arm moves.
-        lengths: Lengths of the links, in workspace units, positive; one joint a link.
-        base: Where the first joint is, ``(2,)``.
-        width: Width of the links, at least 0: each is all that is within half of it of a segment.
+        workspace: The Workspace.
+        lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
+        base: Position of the first joint, ``(2,)``.
+        width: Width of the links, at least 0: a link covers all points within half of it of a segment.
         self_collision: Whether links that are not neighbors must not overlap; needs a positive width.
 
-    Attributes:
-        workspace, width, self_collision: As given.
-        lengths: As given, ``(joints,)``.
-        base: As given, ``(2,)``.
-
     Raises:
-        ValueError: If a length is not positive and finite, the width is negative or not finite, the base is no point
-            or has no room in the workspace, or links of no width are to keep off one another.
+        ValueError: If a length is not positive and finite, the width is negative or not finite, the base is not a
+            point with enough clearance, or ``self_collision`` is set with width 0.
     """
 
     workspace: Workspace
@@ -73,11 +68,13 @@ class PlanarArm:
             raise ValueError(f"The lengths of an arm's links must be positive, got {lengths.tolist()}.")
         width, self_collision = as_finite("width", width), as_bool("self_collision", self_collision)
         if self_collision and width == 0:
-            raise ValueError("Links keep off one another by their width: give one above 0, or no self_collision.")
+            raise ValueError(
+                "self_collision needs links of a width above 0, got width 0: give a width, or leave it out."
+            )
         clearance = workspace.clearance(base[None])[0]
         if clearance < width / 2 - workspace.tolerance:
-            has_no_room = f"has no room for links of width {width:g}: its clearance is {clearance:.3g}"
-            raise ValueError(f"The base of the arm at {base.tolist()} {has_no_room}.")
+            expected = f"a clearance of at least {width / 2:g}, half the width of the links"
+            raise ValueError(f"The base of the arm at {base.tolist()} must have {expected}, got {clearance:.3g}.")
         object.__setattr__(self, "workspace", workspace)
         object.__setattr__(self, "lengths", lengths)
         object.__setattr__(self, "base", base)
@@ -100,33 +97,20 @@ class PlanarArm:
         return MotionCost(((tuple(range(self.dof)), 1.0),))
 
     def forward(self, q: ArrayLike) -> Ends:
-        """Where the joints are, and last the arm's tip.
+        """Return the positions of the joints, base first, and of the arm's tip, ``(n, joints + 1, 2)``.
 
         Args:
             q: Joint angles, ``(n, joints)``, in radians.
-
-        Returns:
-            The ends of the links, ``(n, joints + 1, 2)``, the base first.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
         """
         heading = np.cumsum(as_points("q", q, self.dof), axis=1)
         links = self.lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=2)
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether configurations are free.
+        """Return whether configurations ``(n, joints)`` are free; False for those that are not finite.
 
-        Args:
-            q: Joint angles, ``(n, joints)``, in radians.
-
-        Returns:
-            True where no link overlaps an obstacle or the outside of the bounds, nor, on request, a link that is not
-            its neighbor, to ``workspace.tolerance``; False for configurations that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
+        Links may not overlap obstacles, the outside of the bounds or, on request, links that are not their neighbors,
+        up to ``workspace.tolerance``.
         """
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
@@ -137,22 +121,13 @@ class PlanarArm:
             if self.width > 0:
                 rows = rows[free[rows]]
                 links: Any = shapely.linestrings(ends[rows, i : i + 2])
-                free[rows] = ~come_near(self.workspace, links, self.width / 2 - self.workspace.tolerance)
-        return free & (self._distances_within(ends) >= self.width - self.workspace.tolerance).all(axis=1)
+                free[rows] = ~near_walls(self.workspace, links, self.width / 2 - self.workspace.tolerance)
+        return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether straight motions, which turn each joint the shorter way, are proven free all along.
+        """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
 
-        Args:
-            q0: Where they begin, ``(n, joints)``, in radians.
-            q1: Where they end, ``(n, joints)``.
-
-        Returns:
-            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite, and for some
-            motions along which the arm comes closer to a wall than about 1e-3 of its way.
-
-        Raises:
-            ValueError: If the shapes are others or differ.
+        Some motions that come closer to a wall than about 1e-3 of their length are not proven free.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
@@ -163,18 +138,7 @@ class PlanarArm:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of joint angles.
-
-        Args:
-            lo: Lower corners, ``(n, joints)``, in radians, finite.
-            hi: Upper corners, ``(n, joints)``, finite and nowhere below; angles may leave the domain.
-
-        Returns:
-            The :class:`CellState` of each, ``(n,)``.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
-        """
+        """Classify boxes of joint angles, in radians; see :meth:`ConfigurationSpace.classify`."""
         center, half = as_boxes(lo, hi, self.dof)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         for begin in range(0, len(center), _BOXES):
@@ -182,11 +146,11 @@ class PlanarArm:
             state[part][self._sweeps_free(center[part], half[part])] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
-        state[rows[self._is_hit(center[rows], half[rows])]] = CellState.BLOCKED
+        state[rows[self._is_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
-        """Whether motions are proven free, in pieces that are bisected until each is, or the middle of one is not."""
+        """Bisect motions until every piece is proven free, or the middle of a piece is not free."""
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
@@ -200,25 +164,26 @@ class PlanarArm:
         return free
 
     def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Whether all that the arm covers within boxes of angles certainly is clear."""
-        ends, reaches = self.forward(center), half @ self._spans
+        """Return whether all that the arm covers within each box of angles is certainly free."""
+        ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
         free = np.ones(len(center), dtype=bool)
         for i in reversed(range(self.dof)):
             rows = np.flatnonzero(free)
-            # Convex polygons around the link: its ends move by their reaches, a point between by as much between.
+            # The convex hull of discs around both ends contains the link: a point between the ends moves less than
+            # the linear interpolation of their reaches.
             points = ends[rows, i : i + 2, None] + reaches[rows, i : i + 2, None, None] * rim
             hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(rows), 2 * _SIDES, 2)))
             free[rows] = shapely.covers(self.workspace.free_space, hulls)
             if self.width > 0:
                 rows, hulls = rows[free[rows]], hulls[free[rows]]
-                free[rows] = ~come_near(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
-        return free & (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
+                free[rows] = ~near_walls(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
+        return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
-    def _is_hit(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Whether a link certainly overlaps obstacles, the outside of the bounds or another link, all over a box."""
-        ends, reaches = self.forward(center), half @ self._spans + 2 * self.workspace.tolerance
+    def _is_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+        """Return whether, all over each box, a link certainly overlaps obstacles, the outside or another link."""
+        ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
             rows = np.flatnonzero(~hit)
@@ -227,27 +192,26 @@ class PlanarArm:
                 rows = np.flatnonzero(~hit)
                 x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
                 moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
-                hit[rows] = have_walls_within(self.workspace, x, self.width / 2 - moves)
-        deep = self.width - self._motions_within(half) - 2 * self.workspace.tolerance
-        return hit | (self._distances_within(ends) <= deep).any(axis=1)
+                hit[rows] = walls_within(self.workspace, x, self.width / 2 - moves)
+        deep = self.width - self._link_motion_bounds(half) - 2 * self.workspace.tolerance
+        return hit | (self._link_distances(ends) <= deep).any(axis=1)
 
     @cached_property
-    def _spans(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """How far the ends of links are from joints at most, 0 from joints that do not move them."""
+    def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
+        """Largest distance of each link's end from each joint, 0 for joints that do not move it."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
     @cached_property
-    def _pairs(self) -> list[tuple[int, int]]:
-        """Links that must keep off one another: those that are no neighbors, if they are to."""
+    def _link_pairs(self) -> list[tuple[int, int]]:
+        """Pairs of links that must not overlap: none, or all that are not neighbors."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
-    def _distances_within(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
-        """Distances of pairs of links."""
-        distances = [distances_of_segments(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._pairs]
-        return np.reshape(distances, (len(self._pairs), len(ends))).T
+    def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
+        distances = [segment_distances(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._link_pairs]
+        return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
-    def _motions_within(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """How far points of the later link of pairs move at most as seen from the other within boxes."""
-        moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._pairs]
-        return np.reshape(moves, (len(self._pairs), len(half))).T
+    def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
+        """Bound how far points of the later link of each pair move relative to the other, within boxes."""
+        moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
+        return np.reshape(moves, (len(self._link_pairs), len(half))).T

@@ -1,4 +1,4 @@
-"""The configuration space of any robot with a clearance: a signed distance that changes at most so fast."""
+"""The configuration space of any robot given by a clearance: a signed distance with known Lipschitz constants."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,11 +13,13 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
 
-_BATCH, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
+_BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 10
-_ROUNDING = 16.0  # in units of the last place of what the clearance is computed from
-_NOTICED = 1 + 1e-6  # times what constants allow, up to which a clearance contradicts none
-_SIDEWAYS = 1e-9  # of the way, along which two configurations count as beside one another along one axis
+_ROUNDING = 16.0  # units in the last place by which a clearance may be off
+_LIPSCHITZ_SLACK = (
+    1 + 1e-6
+)  # clearances that differ by more than this factor times the bound contradict the constants
+_AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
@@ -25,39 +27,35 @@ Numbers: TypeAlias = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class ClearanceSpace:
-    """Configurations of any robot that are free by a signed distance: an arm of many joints, a drone, several bodies.
+    """Configurations of any robot whose signed distance to obstacles is known: an arm, a drone, several bodies.
 
-    Over a box of configurations, the clearance differs from that at its center by at most the sum over all axes of
-    ``lipschitz`` times half the box's width. So one number proves a box free or blocked, and two an interval of a
-    motion. What is proven holds if the constants do. Boxes and motions of which clearances contradict them are
-    refused, with an error that tells what constants would do; that none comes proves nothing.
+    The clearance at any configuration of a box differs from the one at its center by at most the sum over axes of
+    ``lipschitz`` times the half width. So one evaluation can prove a box free or blocked, and two evaluations an
+    interval of a motion. Proofs hold only if the constants are right. If clearances contradict them, an error names
+    constants that would fit; the absence of an error proves nothing.
 
-    Constants come from geometry: a distance changes no faster than points of the robot move, and a joint that turns
-    moves none faster than that is far from it. The least of several clearances has the largest of their constants
-    along each axis. The smaller they are, the larger the boxes that are proven: give one an axis, as small as is
-    true. Errors of rounding are allowed for in proportion to clearances and configurations, by the precision of the
-    numbers that come; a clearance that errs by more is to be lowered by that.
+    Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
+    joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
+    largest constant along each axis. Smaller constants prove larger boxes: give one per axis, as small as possible.
+    Rounding errors are allowed for, relative to the size of clearances and configurations and the precision of the
+    answers. If a clearance has larger errors, lower it by them.
 
     Args:
-        domain: The box of all configurations, or its corners; what lies outside, but around a periodic axis, is not
-            free.
-        clearance: Signed distance of configurations ``(n, dof)``, ``(n,)``, finite, in any unit: at least 0 where the
-            configuration is free, below where it is not, by the more the deeper the robot is in an obstacle. It is
-            asked within the domain alone, in batches of many sizes. A distance that is 0 within obstacles does not
-            serve: lower it by a margin. No box is proven blocked where there is no depth.
-        lipschitz: How fast the clearance changes at most along each axis, in its units over those of the axis, at
-            least 0: ``(dof,)``, or a number for all axes.
-        motion_cost: Cost of motions; None: their length over all axes.
+        domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
+        clearance: Function of configurations ``(n, dof)`` that returns signed distances ``(n,)``, finite, in any
+            unit: at least 0 where free, negative where not, by the depth in an obstacle. It is called only within the
+            domain, with batches of varying size. If the distance is 0 inside obstacles, subtract a margin; without
+            depth, no box is proven blocked.
+        lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one number for
+            all axes.
+        motion_cost: Cost of motions; by default their Euclidean length over all axes.
 
     Attributes:
-        domain: The box.
-        clearance: As given.
-        lipschitz: Of each axis, ``(dof,)``.
-        motion_cost: Cost of motions.
+        lipschitz: Constants of the axes, ``(dof,)``.
 
     Raises:
-        ValueError: If the domain is no box, the clearance no function, or there are other numbers of constants or
-            axes of the cost than the domain has axes, or a constant is negative or not finite.
+        ValueError: If the domain is not a box, the clearance is not a function, a constant is negative or not finite,
+            or numbers of axes do not match.
 
     Example:
         A ball of radius 0.2 among spheres::
@@ -98,19 +96,12 @@ class ClearanceSpace:
         object.__setattr__(self, "clearance", clearance)
         object.__setattr__(self, "lipschitz", lipschitz)
         object.__setattr__(self, "motion_cost", motion_cost)
-        self._clearances(domain.lo[None])  # so that a function of something else is refused at once
+        self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether configurations are free.
+        """Return whether configurations ``(n, dof)`` are in the domain and have a clearance of at least 0.
 
-        Args:
-            q: Configurations, ``(n, dof)``.
-
-        Returns:
-            True where the clearance is at least 0; False outside the domain and for those that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape, or a clearance is not finite.
+        A clearance that is not finite raises ``ValueError``, here and in the other methods.
         """
         q = as_points("q", q, self.domain.dim)
         free = self.domain.contains(q)
@@ -118,20 +109,11 @@ class ClearanceSpace:
         return free
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether straight motions, around periodic axes the short way, are proven free all along.
+        """Return whether straight motions, around periodic axes the short way, are proven free all the way.
 
-        Args:
-            q0: Where they begin, ``(n, dof)``.
-            q1: Where they end, ``(n, dof)``.
-
-        Returns:
-            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite, and for
-            motions along which the clearance comes to less than about a thousandth of what the constants let it
-            change along all of the motion, such as those that slide along an obstacle.
-
-        Raises:
-            ValueError: If the shapes are others or differ, a clearance is not finite, or clearances contradict
-                ``lipschitz``.
+        A motion is not proven free if its clearance drops below about a thousandth of the change that the constants
+        allow along the whole motion, for example if it slides along an obstacle. Clearances that contradict
+        ``lipschitz`` raise ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
@@ -142,18 +124,9 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of configurations.
+        """Classify boxes of configurations as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
 
-        Args:
-            lo: Lower corners, ``(n, dof)``, finite.
-            hi: Upper corners, ``(n, dof)``, finite and nowhere below; boxes may leave the domain.
-
-        Returns:
-            The :class:`CellState` of each, ``(n,)``.
-
-        Raises:
-            ValueError: If the shapes are others or differ, corners are not those of boxes, a clearance is not finite,
-                or clearances contradict ``lipschitz``.
+        Clearances that contradict ``lipschitz`` raise ``ValueError``.
         """
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
@@ -166,13 +139,13 @@ class ClearanceSpace:
         return state
 
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes that meet the domain, by what of them is within it."""
+        """Classify boxes that meet the domain, by their part within it."""
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
-        beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # corners are rounded
+        beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
-        # Compare it with that at the middle of a face, of each axis in turn.
+        # Check the constants against the clearance at the middle of a face, cycling through the axes.
         row = np.arange(len(center))
         axis, side = row % self.domain.dim, 1 - 2 * (row // self.domain.dim % 2)
         face = center.copy()
@@ -183,9 +156,10 @@ class ClearanceSpace:
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
-        """Whether motions are proven free, in intervals that are bisected until each is, or is too short.
+        """Bisect motions until every interval is proven free or too short.
 
-        With clearances ``a`` and ``b`` at its ends, that within an interval is at least ``(a + b - reach) / 2``.
+        Within an interval with clearances ``a`` and ``b`` at its ends, the clearance is at least ``(a + b - reach) /
+        2``.
         """
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
@@ -210,11 +184,11 @@ class ClearanceSpace:
         return free
 
     def _clipped(self, q: Configurations) -> Configurations:
-        """The nearest configurations in the domain; along periodic axes all are."""
+        """Return the nearest configurations in the domain; periodic axes stay as they are."""
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Clearances of configurations in the domain, but for rounding; ``ValueError`` if one is not finite."""
+        """Evaluate clearances, clipped to the domain to undo rounding; ``ValueError`` if one is not finite."""
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
         for begin in range(0, len(q), _BATCH):
@@ -222,11 +196,11 @@ class ClearanceSpace:
             clearance[part] = as_values("clearance", self.clearance(q[part]), len(q[part]))
         if not np.isfinite(clearance).all():
             i = np.isfinite(clearance).argmin()
-            raise ValueError(f"clearance must give finite numbers, got {clearance[i]} at {q[i].tolist()}.")
+            raise ValueError(f"clearance must return finite numbers, got {clearance[i]} at {q[i].tolist()}.")
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        """What clearances of configurations of some size may err by in the precision in which they come."""
+        """Bound the rounding errors of clearances from their size, the configurations' size and the precision."""
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -234,28 +208,29 @@ class ClearanceSpace:
         return precision_of(self.clearance(self.domain.lo[None]))
 
     def _require_consistent(self, q0: Configurations, a: Numbers, q1: Configurations, b: Numbers) -> None:
-        """Raise ``ValueError`` if clearances ``a`` and ``b`` of pairs of configurations contradict the constants."""
+        """Raise ``ValueError`` if clearances ``a`` at ``q0`` and ``b`` at ``q1`` contradict the constants."""
         change, difference = np.abs(self.domain.difference(q1, q0)), np.abs(b - a)
-        allowed = _NOTICED * (change @ self.lipschitz)
+        allowed = _LIPSCHITZ_SLACK * (change @ self.lipschitz)
         rounding = self._rounding(np.maximum(np.abs(a), np.abs(b)), np.maximum(np.abs(q0), np.abs(q1)))
         over = difference - allowed - rounding
         if (over > 0).any():
             i = over.argmax()
-            where = f"{a[i]:.6g} at {format_numbers(q0[i])} and {b[i]:.6g} at {format_numbers(q1[i])}"
+            got = f"{a[i]:.6g} at {format_numbers(q0[i])} and {b[i]:.6g} at {format_numbers(q1[i])}"
             raise ValueError(
-                f"lipschitz must bound how fast the clearance changes, but that is {where}: they differ by "
+                f"lipschitz must bound how fast the clearance changes, but the clearance is {got}: they differ by "
                 f"{difference[i]:.6g}, where {format_numbers(self.lipschitz)} allows {allowed[i]:.6g}. "
                 + _least_constants(self.lipschitz, change[i], difference[i])
             )
 
 
 def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """What constants would explain how the clearances of two configurations differ."""
-    (axes,) = np.nonzero(change > _SIDEWAYS * change.max())
+    """Say which constants would explain how far the clearances of two configurations differ."""
+    (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
-        return "None does: one configuration must have one clearance."
+        return "No constant explains it: the clearance must be a function of the configuration."
     least = [(difference - np.delete(change * lipschitz, axis).sum()) / change[axis] for axis in axes]
     if len(axes) == 1:
         return f"Axis {axes[0]} needs at least {least[0]:.6g}."
     each = ", or ".join(f"axis {axis} {of_axis:.6g}" for axis, of_axis in zip(axes, least, strict=True))
-    return f"One axis needs at least, if it is alone to blame: {each}; else all need {difference / change.sum():.6g}."
+    every = f"of all axes to {difference / change.sum():.6g}"
+    return f"Raise the constant of one axis to at least: {each}; or those {every}."

@@ -1,4 +1,4 @@
-"""The configuration space of a point or a disc: the plane."""
+"""The configuration space of a point or disc in the plane, and geometry that other spaces in the plane share."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,27 +17,24 @@ from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import PointRobot, Robot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
-# What of a workspace's obstacles meets bodies: in motion, and where they are known to some distance only.
-
-
 Positions: TypeAlias = Float[np.ndarray, "n 2"]
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
 Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
-def have_walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
-    """Whether the clearance of points is at most a radius, which may be negative."""
-    # A point of free space whose radius is negative needs no distance, and most are.
+def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
+    """Return whether the clearance of each point is at most a radius, which may be negative."""
+    # Most points are free with a negative radius: these need no distance.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
     within[within] = workspace.clearance(x[within]) <= radius[within]
     return within
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Whether segments certainly cross a wall, wherever within some reaches their ends are, the second the larger.
+    """Return whether each segment certainly crosses a wall while its ends move by ``reaches``, the second larger.
 
-    The ends stay on the two sides of the wall's line, so the segment crosses it, and not beyond an end of the wall:
-    it stays within the larger reach of where it is, and both ends of the wall are farther from there.
+    The ends stay on opposite sides of the wall's line, so the segment crosses the line. It does so within the wall:
+    both ends of the wall are farther from the segment than any of its points can move.
     """
     boundary = workspace.boundary
     link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
@@ -52,8 +49,8 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
     return result
 
 
-def distances_of_segments(a: Links, b: Links) -> Float[np.ndarray, "n"]:
-    """Distances of segments, zero where they cross."""
+def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
+    """Return the distances of pairs of segments, 0 where they cross."""
     of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
     pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
     distances = [distance_to_segment(*(segment[:, 0] - end).T, *change.T) for segment, change, end in pairs]
@@ -62,12 +59,12 @@ def distances_of_segments(a: Links, b: Links) -> Float[np.ndarray, "n"]:
 
 
 def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Booleans:
-    """Whether the ends of other segments are strictly on the two sides of segments' lines."""
+    """Return whether the ends of each other segment lie strictly on both sides of a segment's line."""
     return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
 
 
-def come_near(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
-    """Whether Shapely shapes are within a distance of walls, or touch them if it is 0."""
+def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
+    """Return whether Shapely shapes come within a distance of walls; for distance 0, whether they touch walls."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
     near = np.zeros(len(shapes), dtype=bool)
@@ -75,13 +72,14 @@ def come_near(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     return near
 
 
-# Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances.
-_SLIVER = 0.01
+_SLIVER = (
+    0.01  # share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
+)
 
 
 @dataclass(frozen=True)
 class BodySpace:
-    """What the spaces of one robot in a workspace share: its motions, as its motion test judges them."""
+    """The base of spaces of one robot in a workspace: tests of configurations and motions."""
 
     workspace: Workspace
     robot: Robot
@@ -90,35 +88,19 @@ class BodySpace:
         require_workspace(self.workspace)
 
     def is_free(self, q: ArrayLike) -> Booleans:
-        """Whether configurations are free.
+        """Return whether positions ``(n, 2)``, or positions and headings ``(n, 3)`` in radians, are free.
 
-        Args:
-            q: Positions of a robot without a heading, ``(n, 2)``, or positions and headings, ``(n, 3)``, in workspace
-                units and radians.
-
-        Returns:
-            True where the robot overlaps neither obstacles nor the outside of the bounds, to ``workspace.tolerance``;
-            False for configurations that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
+        That is where the robot overlaps neither obstacles nor the outside of the bounds, up to
+        ``workspace.tolerance``. It is False for configurations that are not finite.
         """
         q = as_points("q", q, self.robot.dof)
         return self.are_free(q, q)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Whether straight motions, which turn the shorter way, are proven free all along.
+        """Return whether straight motions, turning the shorter way, are proven free all the way.
 
-        Args:
-            q0: Where they begin, ``(n, 2)`` or ``(n, 3)``, as in :meth:`is_free`.
-            q1: Where they end.
-
-        Returns:
-            True where the whole motion is free, as in :meth:`is_free`: exact for a point and a disc. False where an
-            end is not finite, and for some turns within about 1e-7 of the robot's size from a wall.
-
-        Raises:
-            ValueError: If the shapes are others or differ.
+        The answer is exact for a point or disc. For other bodies, some turns within about 1e-7 of the robot's size of
+        a wall are not proven free.
         """
         q0, q1 = as_motions(q0, q1, self.robot.dof)
         free = np.isfinite(q0 + q1).all(axis=1)
@@ -128,18 +110,18 @@ class BodySpace:
 
 @dataclass(frozen=True)
 class PlaneSpace(BodySpace):
-    """Positions of a point or of a disc in a workspace; the cost of a motion is its length.
+    """Positions of a point or disc in a workspace; the cost of a motion is its length.
 
-    Free is what keeps the robot off obstacles and within the bounds, to ``workspace.tolerance``. Boxes are classified
-    exactly, but for discs beside corners: there, boxes within the grown obstacle may be called MIXED up to 0.5 % of
-    the radius below its rim.
+    A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
+    ``workspace.tolerance``. Boxes are classified exactly, except for discs near corners: boxes up to 0.5 % of the
+    radius inside the inflated obstacle may be MIXED instead of BLOCKED.
 
     Args:
-        workspace: Where the robot moves.
+        workspace: The Workspace.
         robot: A PointRobot or a DiscRobot.
 
     Raises:
-        ValueError: If the workspace is none, the robot is another, or nothing is free for it.
+        ValueError: If an argument has the wrong type, or the robot fits nowhere.
     """
 
     robot: Robot = field(default_factory=PointRobot)
@@ -147,9 +129,9 @@ class PlaneSpace(BodySpace):
     def __post_init__(self):
         super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 2 or len(self.robot.core) > 1:
-            got = f"got {shortened(self.robot)}; use RigidBodySpace for one with a heading"
+            got = f"got {shortened(self.robot)}; use RigidBodySpace for a robot with a heading"
             raise ValueError(f"The robot of a PlaneSpace must be a point or a disc, {got}.")
-        _ = self._passable  # refuses what leaves no free space
+        _ = self._passable  # raises if nothing is free
 
     @property
     def domain(self) -> Box:
@@ -162,24 +144,16 @@ class PlaneSpace(BodySpace):
         return MotionCost((((0, 1), 1.0),))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of positions.
+        """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
 
-        Args:
-            lo: Lower corners, ``(n, 2)``, finite.
-            hi: Upper corners, ``(n, 2)``, finite and nowhere below.
-
-        Returns:
-            The :class:`CellState` of each, ``(n,)``. A box in which free space is thinner than a hundredth of
-            ``workspace.tolerance`` counts as BLOCKED, since walls touch that are no farther apart. One that touches
-            a point in which obstacles touch is not FREE, as no path passes there from one side to the other.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
+        close touch. A box that touches a contact, a point where obstacles touch, is not FREE, since no path passes
+        through it.
         """
         center, half = as_boxes(lo, hi, 2)
-        # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
+        # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
-        near = np.flatnonzero(come_near(self.workspace, boxes, self.robot.rounding))
+        near = np.flatnonzero(near_walls(self.workspace, boxes, self.robot.rounding))
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
@@ -190,19 +164,10 @@ class PlaneSpace(BodySpace):
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Whether positions are seen from everywhere in boxes that is free: proven for points, never for discs.
+        """Return whether positions are proven to see every free position of a box: for points only, never for discs.
 
-        Args:
-            q: Positions, ``(n, 2)``, in or beside their boxes.
-            lo: Lower corners of boxes, ``(n, 2)``, finite.
-            hi: Upper corners, finite and nowhere below.
-
-        Returns:
-            True where the free part of the box is one polygon without holes, to every edge of which the position is
-            on the inner side. False in a point in which obstacles touch.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        The free part of the box must be one polygon without holes, with the position on the inner side of every edge.
+        The result is False at points where obstacles touch.
         """
         (q, _), (center, half) = as_motions(q, lo, 2), as_boxes(lo, hi, 2)
         sees = np.zeros(len(q), dtype=bool)
@@ -223,7 +188,7 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
-        """Whether Shapely shapes touch points in which obstacles touch, between which a point must not squeeze."""
+        """Return whether shapes touch points where obstacles touch and the robot may not squeeze through."""
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
             touch[self._contacts.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
@@ -237,9 +202,9 @@ class PlaneSpace(BodySpace):
 
     @cached_property
     def _passable(self) -> Any:
-        """Where the robot can be at most, prepared for many queries; chords within the arcs around grown corners.
+        """The free positions, prepared for many queries.
 
-        Grown by less than the radius, so that passages exactly as wide as a disc stay open.
+        Obstacles are inflated by less than the radius, so that passages exactly as wide as a disc stay open.
         """
         passable = self.workspace.inflate(max(0.0, self.robot.rounding - self.workspace.tolerance)).free_space
         shapely.prepare(passable)
@@ -247,6 +212,6 @@ class PlaneSpace(BodySpace):
 
 
 def _shrunk(center: Positions, half: Positions, margin: float) -> Any:
-    """Boxes less a margin along each side, at most half of what they have, as Shapely polygons."""
+    """Return boxes as Shapely polygons, shrunk by a margin on each side, but at most to half their width."""
     half = np.maximum(half - margin, half / 2)
     return shapely.box(*(center - half).T, *(center + half).T)

@@ -1,6 +1,6 @@
-"""Costs of motions as rasters give them: a factor a cell, as every robot's cost map has it.
+"""Cost maps given as rasters, also from ROS: one cost factor per cell.
 
-Values may be the bytes of ROS's ``costmap_2d`` or an occupancy grid, and may be inflated around lethal cells.
+Bounds of the factor over boxes come from a sparse table of the smallest and largest factors of blocks of cells.
 """
 
 from dataclasses import dataclass
@@ -29,23 +29,21 @@ from plr_jax.spaces._costs import Rates, Vectors
 from plr_jax.spaces._space import as_boxes
 from plr_jax.spaces._voxels import VoxelSpace
 
-_MOST_AXES = 4
-_LEAST_FACTOR, _LARGEST_FACTOR = 1e-30, 1e30  # which 32 bits tell apart from nothing
+_MAX_AXES = 4
+_MIN_FACTOR, _MAX_FACTOR = 1e-30, 1e30  # representable in float32 with room to spare
 _INTERPOLATIONS = ("bilinear", "nearest")
-_AT_ONCE = 8192  # points, of which all that is computed stays in the cache
-_MOST_PATCHES = 3  # along an axis, of boxes over which bounds are the extremes themselves
-# What rounding moves a place by, in roundings of it and of the raster's size, and a factor by, of itself: several
-# times what the few operations of each amount to. All of an interpolation's terms are positive.
-_OF_PLACES, _OF_FACTORS = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
-_OF_RADII = 1e-9  # by what share distances of cells may exceed a radius: rounding of the bounds changes them by less
-# Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the values
-# that tell of them in the occupancy grids in which Nav2 and ROS publish cost maps.
-_DEAREST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
-_GRID_UNKNOWN, _GRID_DEAREST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
-# Entries of all windows of a sparse table, 256 MiB; where there would be more, large blocks take more windows.
-_MOST_ENTRIES = 2**26
-# Windows that are looked up at a time.
-_WINDOWS_AT_ONCE = 2**18
+_POINTS_PER_BATCH = 8192  # intermediate arrays of this many points stay in the cache
+_MAX_PATCHES = 3  # bounds are exact extremes over boxes that meet at most this many patches along each axis
+# Relative rounding errors of cell coordinates and of factors: several times the sum over the few operations of each.
+# All terms of an interpolation are positive, so nothing cancels.
+_COORDINATE_ROUNDING, _FACTOR_ROUNDING = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+_RADIUS_ROUNDING = 1e-9  # a cell this share beyond a radius counts as within: rounding of the bounds is smaller
+# Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the
+# corresponding values of the occupancy grids in which Nav2 and ROS publish cost maps.
+_MAX_COST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
+_GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
+_MAX_ENTRIES = 2**26  # of a sparse table (256 MiB); beyond it, large blocks need more lookups
+_WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
@@ -55,40 +53,41 @@ Entries = Int[np.ndarray, "n rank"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class RasterCost:
-    """A cost map whose factors are given at the cells of a raster, of one to four axes.
+    """A cost map with one factor per cell of a raster, of one to four axes.
 
-    The raster's **last** axis runs along the first coordinate, and its first axis along the last one, as
-    :class:`GridField` has it: ``values[row, column]`` is at ``(x, y)`` with ``x`` in that column and ``y`` in that
-    row, row 0 at the lowest ``y``. Give ``values[::-1]`` of a picture, whose row 0 is at the top, and ``values.T`` of
-    a table ``[x, y, ...]``.
+    The factor multiplies a motion's cost: where that is a length, the factor is a cost per unit of length, not a
+    speed. ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row; row 0 has
+    the lowest ``y``. In general the **last** array axis runs along the first coordinate, as in :class:`GridField`.
+    Pass ``values[::-1]`` for a picture, whose row 0 is at the top, and ``values.T`` for a table indexed ``[x, y,
+    ...]``.
 
-    What is blocked is for the space to keep out, such as the one of :meth:`space`: there the factor is that of the
-    nearest cell of the array which is not, so that between a blocked cell and its neighbors it stays finite. Outside
-    the bounds it is that of the nearest place within, but around periodic axes, along which the last cells are
-    neighbors of the first. Of configurations of more coordinates than the raster has axes the leading ones count:
-    headings cost as positions do.
+    The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. In a blocked cell, the
+    factor is copied from the nearest unblocked cell, so that interpolation next to it stays finite. Outside the
+    bounds, the factor is taken from the nearest point inside; along periodic axes the raster repeats. If
+    configurations have more coordinates than the raster has axes, only the leading ones select the factor; it applies
+    to turns as well.
 
     Args:
-        values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where it is blocked.
-        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
-        interpolation: ``"bilinear"``, multilinear between the centers of cells and constant in the outer halves of
-            those at the bounds; or ``"nearest"``, constant in each cell, and at the border of two the upper one's.
-            Bounds of the nearest one are wider, as over every box that touches a border both cells count.
+        values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
+            blocked.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers.
+        interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
+            half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
+            bounds are wider, because a box that touches a border counts the cells on both sides.
 
     Attributes:
-        values: As given, ``inf`` where blocked; read-only.
-        domain: The box of the bounds.
-        interpolation: The same.
+        values: The factors, ``inf`` where blocked; read-only.
+        domain: The bounds as a Box.
 
     Raises:
-        ValueError: If the values are no such numbers, all are blocked, the bounds are no box of as many dimensions,
-            or the interpolation is another.
+        ValueError: If values are out of range or all blocked, the bounds are not a box with one dimension per raster
+            axis, or the interpolation is unknown.
     """
 
     values: Float[np.ndarray, "..."]
     domain: Box
     interpolation: str
-    _lethal: Bool[np.ndarray, "..."]  # the cells around which ``inflated`` raises costs
+    _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
         domain = Box.of(bounds, "The bounds")
@@ -96,21 +95,21 @@ class RasterCost:
             raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
         expected = f"factors on a raster of {domain.dim} axes"
         factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
-        if factors.ndim != domain.dim or factors.ndim > _MOST_AXES or factors.size == 0:
+        if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
             raise ValueError(
-                f"values must be {expected}, as the bounds have, {_MOST_AXES} at most, the last one along x, and at "
-                f"least one, got shape {factors.shape}."
+                f"values must be {expected}, one per axis of the bounds and at most {_MAX_AXES}, with at least one "
+                f"cell, got shape {factors.shape}. The last array axis runs along x."
             )
         factors[np.isnan(factors)] = np.inf
-        wrong = ~((factors >= _LEAST_FACTOR) & (factors <= _LARGEST_FACTOR)) & (factors != np.inf)
+        wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
         if wrong.any():
             cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
             raise ValueError(
-                f"values must be from {_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g}, and inf where a cell is blocked, got "
-                f"{factors[cell]:g} at {cell}; of the bytes of a cost map use RasterCost.from_costmap."
+                f"values must be from {_MIN_FACTOR:g} to {_MAX_FACTOR:g}, or inf for a blocked cell, got "
+                f"{factors[cell]:g} at {cell}. For the bytes of a ROS cost map use RasterCost.from_costmap."
             )
         if np.isinf(factors).all():
-            raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} that all are.")
+            raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} blocked cells.")
         factors.flags.writeable = False
         set_fields(self, values=factors, domain=domain, interpolation=interpolation, _lethal=np.isinf(factors))
 
@@ -124,29 +123,26 @@ class RasterCost:
         unknown_is_free: bool = False,
         interpolation: str = "bilinear",
     ) -> "RasterCost":
-        """The cost map of a robot, as ROS's ``costmap_2d`` has it in bytes.
+        """Convert a robot's cost map, the bytes of ROS's ``costmap_2d``.
 
-        A cost from 0 to 252 makes the factor ``1 + cost_travel_multiplier * cost / 252``: what the planner Smac 2D
-        of Nav2 takes for a step of length 1. NavFn's is the same with a multiplier of 4.03, its ``50 + 0.8 * cost``
-        over 50. Costs 253, of cells in which the robot's inscribed circle meets an obstacle, and 254, lethal, block.
+        A cost from 0 to 252 becomes the factor ``1 + cost_travel_multiplier * cost / 252``, as in Nav2's planner Smac
+        2D. A multiplier of 4.03 reproduces NavFn, which uses ``(50 + 0.8 * cost) / 50``. Cells with cost 253 (within
+        the robot's inscribed radius of an obstacle) and 254 (lethal) are blocked.
 
         Args:
-            values: The costs, from 0 to 255, row 0 at the lowest ``y``, as messages of ROS have them.
+            values: Costs from 0 to 255, row 0 at the lowest ``y``, as in ROS messages.
             bounds: As for the class.
-            cost_travel_multiplier: How much more than a free cell the dearest one costs, at least 0.
-            unknown_is_free: Whether 255, unknown, may be passed, as dear as 252, which is how NavFn takes it;
-                else it blocks.
+            cost_travel_multiplier: Extra factor of the highest cost, 252, at least 0.
+            unknown_is_free: Whether unknown cells, 255, get the factor of cost 252, as in NavFn; otherwise they are
+                blocked.
             interpolation: As for the class.
 
-        Returns:
-            The cost map.
-
         Raises:
-            ValueError: If the values are not from 0 to 255, or as for the class.
+            ValueError: If a value is not from 0 to 255, or as for the class.
         """
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
-        costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; of an OccupancyGrid use from_occupancy_grid")
-        factors = 1 + multiplier * np.minimum(costs, _DEAREST) / _DEAREST
+        costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; for an OccupancyGrid use from_occupancy_grid")
+        factors = 1 + multiplier * np.minimum(costs, _MAX_COST) / _MAX_COST
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
             blocked &= costs < _UNKNOWN
@@ -164,24 +160,21 @@ class RasterCost:
         unknown_is_free: bool = False,
         interpolation: str = "bilinear",
     ) -> "RasterCost":
-        """The cost map of a robot, as it is published: ROS's ``OccupancyGrid``.
+        """Convert a robot's cost map as ROS publishes it: an ``OccupancyGrid``.
 
-        Args:
-            values: -1 unknown, 0 free, 1 to 98 costs from 1 to 252, 99 inscribed, 100 lethal; row 0 at the lowest
-                ``y``.
-            bounds: As for the class.
-            cost_travel_multiplier: As for :meth:`from_costmap`.
-            unknown_is_free: As for :meth:`from_costmap`.
-            interpolation: As for the class.
-
-        Returns:
-            The cost map.
+        All arguments except the values are as for :meth:`from_costmap`. The values are -1 for unknown, 0 for free, 1
+        to 98 for costs from 1 to 252, 99 for inscribed, and 100 for lethal; row 0 is at the lowest ``y``.
 
         Raises:
-            ValueError: If the values are not from -1 to 100, or as for the class.
+            ValueError: If a value is not from -1 to 100, or as for the class.
         """
-        grid = _in_range(values, _GRID_UNKNOWN, _GRID_LETHAL, "an OccupancyGrid's values; of bytes use from_costmap")
-        costs = np.interp(grid, (0, 1, _GRID_DEAREST), (0, 1, _DEAREST))
+        grid = _in_range(
+            values,
+            _GRID_UNKNOWN,
+            _GRID_LETHAL,
+            "values of an OccupancyGrid; for bytes of costmap_2d use from_costmap",
+        )
+        costs = np.interp(grid, (0, 1, _GRID_MAX_COST), (0, 1, _MAX_COST))
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
         costs[grid < 0] = _UNKNOWN
@@ -201,29 +194,26 @@ class RasterCost:
         cost_scaling_factor: float | int = 10.0,
         cost_travel_multiplier: float | int = 2.0,
     ) -> "RasterCost":
-        """The cost map with higher costs around lethal cells, as the inflation layer of Nav2 makes them.
+        """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
-        Lethal are the costs 254 of :meth:`from_costmap` and 100 of :meth:`from_occupancy_grid`, and of other cost
-        maps all blocked cells. Around cells that are blocked because they are unknown or inscribed, costs stay.
+        Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated.
 
-        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even where
-        ``inflation_radius`` is less: then the space of a point is that of the robot. Up to ``inflation_radius`` its
-        cost is at least
-        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Factors follow from costs as in
-        :meth:`from_costmap`, but costs are not rounded to bytes, as steps would widen the bounds.
+        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even if
+        ``inflation_radius`` is smaller. So :meth:`space` for a point is the space of the robot. Up to
+        ``inflation_radius`` the cost is at least ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``.
+        Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes, because steps would widen the
+        bounds.
 
         Args:
-            inscribed_radius: Of the robot, in the units of the bounds, at least 0.
-            inflation_radius: How far costs are raised, rounded up to whole cells as Nav2 does (of the shorter side
-                where cells are not square).
-            cost_scaling_factor: By what power of e they fall a unit of distance.
+            inscribed_radius: Inscribed radius of the robot, in units of the bounds, at least 0.
+            inflation_radius: How far costs are raised, in units of the bounds; rounded up to whole cells as in Nav2
+                (using the shortest side if cells are not cubes).
+            cost_scaling_factor: Rate of the exponential decay, per unit of distance.
             cost_travel_multiplier: As for :meth:`from_costmap`.
 
-        Returns:
-            The cost map.
-
         Raises:
-            ValueError: If a number is negative or not finite, or nothing is left that is not blocked.
+            ValueError: If a number is negative or not finite, or all cells become blocked.
 
         References:
             https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
@@ -234,11 +224,11 @@ class RasterCost:
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         if not self._lethal.any():
             return self
-        around, middle = self._periods(~self._lethal)
+        around, middle = self._three_periods(~self._lethal)
         distance: Any = ndimage.distance_transform_edt(around, sampling=self._sides)
-        distance = distance[middle] * (1 - _OF_RADII)
+        distance = distance[middle] * (1 - _RADIUS_ROUNDING)
         side = self._sides.min()
-        reach = side * np.ceil(reach / side * (1 - _OF_RADII))
+        reach = side * np.ceil(reach / side * (1 - _RADIUS_ROUNDING))
         share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
         factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
         cost = RasterCost(factors, self.domain, self.interpolation)
@@ -256,127 +246,105 @@ class RasterCost:
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Which cells are not blocked, in the order of the values."""
+        """Boolean mask of the cells that are not blocked, indexed like ``values``."""
         return np.isfinite(self.values)
 
     def space(self, radius: float | int = 0.0) -> VoxelSpace:
-        """The configuration space of what is not blocked.
+        """Return the configuration space of a point or ball among the cells that are not blocked.
 
-        Args:
-            radius: Of a disc or ball that keeps off what is blocked, in the units of the bounds; 0 for a point.
-
-        Returns:
-            The space, in the bounds; the cost of a motion is its length.
-
-        Raises:
-            ValueError: If the radius is no such number, or an axis is periodic.
+        The radius is in units of the bounds, 0 for a point. Errors are those of :class:`VoxelSpace`, which has no
+        periodic axes.
         """
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """The factor at configurations.
+        """Return the factor at each configuration, ``(n,)``; NaN where one of the leading coordinates is not finite.
 
-        Args:
-            q: Configurations, ``(n, dof)``, of at least as many coordinates as the raster has axes.
-
-        Returns:
-            The factors, ``(n,)``; NaN where one of these coordinates is not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
+        Configurations, ``(n, dof)``, have at least as many coordinates as the raster has axes.
         """
-        q = self._leading("q", q)
+        q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
-        for begin in range(0, len(known), _AT_ONCE):
-            part = known[begin : begin + _AT_ONCE]
-            places = self._places(q[part])
-            places = np.where(self.domain.periodic, places % self._sizes, self._clipped(places))
-            factors[part] = self._interpolated(places)
+        for begin in range(0, len(known), _POINTS_PER_BATCH):
+            part = known[begin : begin + _POINTS_PER_BATCH]
+            coords = self._cell_coordinates(q[part])
+            coords = np.where(self.domain.periodic, coords % self._sizes, self._clipped(coords))
+            factors[part] = self._interpolated(coords)
         return factors
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Bounds of the factor over closed boxes, which may reach beyond the raster's.
+        """Return lower and upper bounds of the factor over closed boxes, which may extend beyond the raster.
 
-        Args:
-            lo: Lower corners, ``(n, dof)``, finite.
-            hi: Upper corners, finite and nowhere below.
-
-        Returns:
-            The extremes, but for rounding outward (to 32 bits where more than a cell counts), of ``"nearest"``, where
-            all cells count that the box touches, and of ``"bilinear"`` over boxes between at most four centers along
-            each axis; over larger ones those of the cells whose centers surround the box.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
+        are the exact extremes if the box meets at most three intervals between cell centers along each axis; over
+        larger boxes they are the extremes over all cells whose centers surround the box. Both are rounded outward, to
+        float32 where several cells count. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
         """
-        lo, hi = self._leading("lo", lo), self._leading("hi", hi)
+        lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)
-        first, last = self._grown(lo, hi)
+        first, last = self._rounded_outward(lo, hi)
         above = np.floor(last) if self.interpolation == "nearest" else np.ceil(last)
         least, most = np.empty(len(first)), np.empty(len(first))
         patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
-        is_large = (patches > _MOST_PATCHES) | (self.interpolation == "nearest")
+        is_large = (patches > _MAX_PATCHES) | (self.interpolation == "nearest")
         ends = (np.floor(first[is_large]).astype(np.intp), above[is_large].astype(np.intp))
         least[is_large], most[is_large] = self._table.extremes(*ends)
-        for count in range(1, _MOST_PATCHES + 1):
+        for count in range(1, _MAX_PATCHES + 1):
             few = np.flatnonzero(~is_large & (patches == count))
-            step = max(1, _AT_ONCE // (count + 1) ** self.dim)
+            step = max(1, _POINTS_PER_BATCH // (count + 1) ** self.dim)
             for begin in range(0, len(few), step):
                 part = few[begin : begin + step]
-                factors = self._at_breaks(first[part], last[part], count)
+                factors = self._patch_corner_factors(first[part], last[part], count)
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
-        return (1 - _OF_FACTORS) * least, (1 + _OF_FACTORS) * most
+        return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
-    def _at_breaks(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
-        """Factors at the corners of what boxes of places cut out of patches between centers, up to so many an axis.
+    def _patch_corner_factors(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
+        """Evaluate the factor at the corners of the pieces into which cell centers cut each box.
 
-        Over each such part the factor is multilinear: its extremes are there.
+        The factor is multilinear on each piece, so its extremes over the box are among these values.
         """
         lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
         which = np.array(list(product(range(count + 1), repeat=self.dim)))
-        places = lines[:, which, np.arange(self.dim)]
-        return self._interpolated(places.reshape(-1, self.dim)).reshape(places.shape[:2])
+        coords = lines[:, which, np.arange(self.dim)]
+        return self._interpolated(coords.reshape(-1, self.dim)).reshape(coords.shape[:2])
 
-    def _interpolated(self, places: Vectors) -> Rates:
-        """Factors at places in cells, from the center of the first one or, for the nearest one, from its border."""
-        below = np.floor(places).astype(np.intp)
+    def _interpolated(self, coords: Vectors) -> Rates:
+        below = np.floor(coords).astype(np.intp)
         if self.interpolation == "nearest":
-            return self._at(below)
-        beyond = places - below
-        total = np.zeros(len(places))
+            return self._cell_factors(below)
+        beyond = coords - below
+        total = np.zeros(len(coords))
         for corner in product((0, 1), repeat=self.dim):
             weights = (beyond[:, axis] if up else 1 - beyond[:, axis] for axis, up in enumerate(corner))
-            total += reduce(np.multiply, weights) * self._at(below + corner)
+            total += reduce(np.multiply, weights) * self._cell_factors(below + corner)
         return total
 
-    def _at(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
-        """Factors of cells, given by their numbers along each coordinate; around periodic axes, else the nearest."""
+    def _cell_factors(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
+        """Look up factors by cell index, wrapped around periodic axes and clipped along others."""
         modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
-        return self._nodes.take(np.ravel_multi_index(tuple(cell.T), self._nodes.shape, mode=modes))
+        return self._filled_factors.take(np.ravel_multi_index(tuple(cell.T), self._filled_factors.shape, mode=modes))
 
-    def _leading(self, name: str, value: ArrayLike) -> Vectors:
-        """The leading coordinates of configurations, as many as the raster has axes."""
+    def _leading_coordinates(self, name: str, value: ArrayLike) -> Vectors:
         points = as_points(name, value)
         if points.shape[1] < self.dim:
             raise ValueError(f"{name} must have at least {self.dim} coordinates, as {self} has, got {points.shape}.")
         return points[:, : self.dim]
 
-    def _places(self, q: Vectors) -> Vectors:
-        """Where configurations are in cells, from the center of the first one, or for the nearest from its border."""
-        places = (q - self.domain.lo) / self.domain.width * self._sizes
-        return places if self.interpolation == "nearest" else places - 0.5
+    def _cell_coordinates(self, q: Vectors) -> Vectors:
+        """Convert to units of cells, from the first cell's center or, for ``nearest``, its border."""
+        coords = (q - self.domain.lo) / self.domain.width * self._sizes
+        return coords if self.interpolation == "nearest" else coords - 0.5
 
-    def _clipped(self, places: Vectors) -> Vectors:
-        return np.clip(places, 0, self._sizes - 1)
+    def _clipped(self, coords: Vectors) -> Vectors:
+        return np.clip(coords, 0, self._sizes - 1)
 
-    def _grown(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Boxes as boxes of places, larger by what rounding may have moved any place in them.
+    def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
+        """Convert boxes to cell coordinates, enlarged by the possible rounding error of any point in them.
 
-        Around periodic axes they begin in the first period, and are one long at most.
+        Along periodic axes, boxes are shifted to start in the first period and are at most one period long.
         """
-        first, last = self._places(lo), self._places(hi)
-        reach = _OF_PLACES * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
+        reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
         turns = np.floor(first / self._sizes) * self._sizes
         is_whole = last - first >= self._sizes
@@ -387,39 +355,40 @@ class RasterCost:
 
     @property
     def _sizes(self) -> Float[np.ndarray, "dim"]:
-        """Numbers of cells along each coordinate."""
         return np.array(self.values.shape[::-1], np.float64)
 
     @property
     def _sides(self) -> Float[np.ndarray, "dim"]:
-        """Sides of a cell along the raster's axes."""
+        """Side lengths of a cell, in the order of the array's axes."""
         return (self.domain.width / self._sizes)[::-1]
 
-    def _periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
-        """Three periods of cells along periodic axes, and where the middle one is."""
+    def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
+        """Tile the array three times along periodic axes; return slices of the middle copy too."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
         return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
 
     @cached_property
-    def _nodes(self) -> Float[np.ndarray, "..."]:
-        """Factors in the order of coordinates, those of blocked cells filled."""
+    def _filled_factors(self) -> Float[np.ndarray, "..."]:
+        """Factors indexed by coordinate; blocked cells copy their nearest unblocked cell."""
         factors = self.values
         if not self.free.all():
-            around, middle = self._periods(~self.free)
+            around, middle = self._three_periods(~self.free)
             nearest: Any = ndimage.distance_transform_edt(
                 around, sampling=self._sides, return_distances=False, return_indices=True
             )
-            factors = factors[tuple(at[middle] % size for at, size in zip(nearest, factors.shape, strict=True))]
+            factors = factors[tuple(index[middle] % size for index, size in zip(nearest, factors.shape, strict=True))]
         return np.ascontiguousarray(factors.T)
 
     @cached_property
     def _table(self) -> "SparseTable":
-        """Extremes of blocks of cells; around periodic axes, of two periods."""
-        axes = zip(self._nodes.shape, self.domain.periodic, strict=True)
+        # Two periods along periodic axes, so that boxes may wrap.
+        axes = zip(self._filled_factors.shape, self.domain.periodic, strict=True)
         more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
-        return SparseTable(np.pad(self._nodes, more, mode="wrap") if self.domain.is_periodic else self._nodes)
+        return SparseTable(
+            np.pad(self._filled_factors, more, mode="wrap") if self.domain.is_periodic else self._filled_factors
+        )
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
@@ -433,14 +402,11 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """Extremes of blocks of an array of any rank, each the union of a few windows whose sides are powers of two.
+    """A table of the smallest and largest entries of an array's windows, to look up the extremes of any block.
 
-    Of every place the table has the least and the largest entry in the window of each side that begins there, in 32
-    bits, rounded outward. A block about as wide along every axis is covered by two windows an axis, a long one by
-    more. Along an axis that is shorter than a window's side, the window is as long as the axis.
-
-    Args:
-        values: The entries, finite, of a size that 32 bits can tell.
+    For every position and every power of two, it stores the extremes of the window of that side that begins there, as
+    float32 rounded outward. A block about as wide along every axis is covered by two windows per axis; an elongated
+    block needs more. Along axes shorter than a window, the window spans the axis.
 
     References:
         Bender and Farach-Colton, "The LCA problem revisited", 2000.
@@ -449,14 +415,9 @@ class SparseTable:
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """The least and the largest entry of blocks.
+        """Return the smallest and largest entry of each block, rounded outward if float32 cannot represent them.
 
-        Args:
-            first: Their first entries along each axis, ``(n, rank)``.
-            last: Their last ones, which count as well.
-
-        Returns:
-            The extremes, ``(n,)`` each: exact of entries that 32 bits hold, else up to a rounding outward.
+        ``first`` and ``last`` are the first and last index of each block along each axis, both inclusive.
         """
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
@@ -464,13 +425,13 @@ class SparseTable:
         for each in np.unique(level):
             blocks = np.flatnonzero(level == each)
             counts = -(-(last - first + 1)[blocks] // sides[each])
-            for part in parts(counts.prod(axis=1), _WINDOWS_AT_ONCE):
+            for part in parts(counts.prod(axis=1), _WINDOWS_PER_BATCH):
                 which = blocks[part]
-                least[which], most[which] = self._covered(int(each), first[which], last[which], counts[part])
+                least[which], most[which] = self._window_extremes(int(each), first[which], last[which], counts[part])
         return least, most
 
-    def _covered(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Extremes of blocks that are covered by so many windows of one level along each axis."""
+    def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
+        """Return the extremes of blocks, each covered by ``counts`` windows of one level per axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
@@ -484,28 +445,28 @@ class SparseTable:
 
     @cached_property
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
-        """Sides of windows, and the least and the largest entry of those that begin at each place."""
+        """Window sides of each level, with the smallest and largest entries of the windows."""
         shape = np.array(self.values.shape)
-        side, least, most = np.ones_like(shape), _rounded(self.values, -np.inf), _rounded(self.values, np.inf)
+        side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0
-        while (side < shape).any() and entries < _MOST_ENTRIES:
+        while (side < shape).any() and entries < _MAX_ENTRIES:
             step = np.minimum(side, shape - side)
-            least, most = _joined(np.minimum, least, step), _joined(np.maximum, most, step)
+            least, most = _merge_windows(np.minimum, least, step), _merge_windows(np.maximum, most, step)
             side, entries = side + step, entries + 2 * least.size
             levels.append((side, least, most))
         return levels
 
 
-def _joined(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
-    """Extremes of windows that are longer by a step along each axis, of two that overlap or touch."""
+def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
+    """Lengthen windows by ``step`` along each axis: combine each with the window that begins a step later."""
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)
     return np.ascontiguousarray(windows)
 
 
-def _rounded(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
-    """Numbers in 32 bits, none moved but toward one side."""
+def _as_float32(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
+    """Round to float32 in one direction: up if ``toward`` is inf, down if it is -inf."""
     single = values.astype(np.float32)
     wrong = single < values if toward > 0 else single > values
     return np.where(wrong, np.nextafter(single, np.float32(toward)), single)

@@ -1,4 +1,4 @@
-"""The configuration space of a rigid body in the plane: its positions and headings, SE(2)."""
+"""The configuration space of a rigid body in the plane, SE(2): its positions and headings."""
 
 import math
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.robots.robot import Robot, check_body, side_offsets
-from plr_jax.spaces._plane import BodySpace, Booleans, come_near, have_walls_within
+from plr_jax.spaces._plane import BodySpace, Booleans, near_walls, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 
-# Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it.
+# Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
 _WIDEST_ARC = math.pi / 3
-_POINTS = 1 << 19  # of hulls at a time, which bounds the memory
+_POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
@@ -28,19 +28,21 @@ Turns: TypeAlias = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True)
 class RigidBodySpace(BodySpace):
-    """Positions and headings of a rigid body in a workspace; a motion costs its length and its weighted turn.
+    """Positions and headings of a rigid body in a workspace; a motion costs its length plus its weighted turn.
 
-    Free is what keeps the body off obstacles and within the bounds, to ``workspace.tolerance``. Headings count modulo
-    a full turn. What is proven of a box of configurations is the closer to the truth the smaller the box is.
+    A configuration is free if the body overlaps neither obstacles nor the outside of the bounds, up to
+    ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative, and tighter
+    for smaller boxes.
 
     Args:
-        workspace: Where the body moves.
+        workspace: The Workspace.
         robot: A robot with a heading, such as a RectangleRobot or a PolygonRobot.
-        rotation_weight: Cost of a turn by one radian, in workspace units, positive; None: the robot's circumscribed
+        rotation_weight: Cost of a turn by one radian, in workspace units, positive. None: the robot's circumscribed
             radius, as for a Problem.
 
     Raises:
-        ValueError: If the workspace is none, the robot has no heading, or the weight is not positive and finite.
+        ValueError: If the workspace has the wrong type, the robot has no heading, or the weight is not positive and
+            finite.
     """
 
     rotation_weight: float | int | None = None
@@ -49,7 +51,7 @@ class RigidBodySpace(BodySpace):
         super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 3:
             got = f"got {shortened(self.robot)}; use PlaneSpace for a point or a disc"
-            raise ValueError(f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, {got}.")
+            raise ValueError(f"The robot of a RigidBodySpace must have a heading, such as a RectangleRobot, {got}.")
         check_body("The robot of a RigidBodySpace", self.robot)
         if self.rotation_weight is not None:
             as_finite("rotation_weight", self.rotation_weight, positive=True)
@@ -62,26 +64,17 @@ class RigidBodySpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length, and turn times the rotation weight."""
+        """Length, plus turn times the rotation weight."""
         weight = self.robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of positions and headings.
-
-        Args:
-            lo: Lower corners, ``(n, 3)``, finite.
-            hi: Upper corners, ``(n, 3)``, finite and nowhere below; headings may leave the domain.
-
-        Returns:
-            The :class:`CellState` of each, ``(n,)``.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
-        """
+        """Classify boxes of positions and headings, in radians; see :meth:`ConfigurationSpace.classify`."""
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _motions(half, 0.0))
+        has_room = motion_test(self.workspace, self.robot).has_room(
+            center[:, 0], center[:, 1], _motion_bounds(half, 0.0)
+        )
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
@@ -89,18 +82,17 @@ class RigidBodySpace(BodySpace):
             part = unsure[begin : begin + size]
             state[part[self._sweeps_free(center[part], half[part])]] = CellState.FREE
         unsure = unsure[state[unsure] == CellState.MIXED]
-        state[unsure[self._is_hit(center[unsure], half[unsure])]] = CellState.BLOCKED
+        state[unsure[self._is_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
-        """Whether all that the body covers within each box certainly lies in free space."""
+        """Return whether all that the body covers within each box is certainly free."""
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
-        free[wide] = ~come_near(self.workspace, positions, self.robot.circumscribed_radius)
-        # Convex polygons around all that the core covers in the narrow boxes: the arc on which a vertex turns about
-        # the reference point lies in the triangle of that point and of the arc's ends, moved out until their chord is
-        # tangent to it.
+        free[wide] = ~near_walls(self.workspace, positions, self.robot.circumscribed_radius)
+        # Enclose all that the core covers in a narrow box by a convex polygon: the arc of a turning vertex lies in
+        # the triangle of the reference point and the arc's ends, moved out until their chord is tangent to the arc.
         center, half = center[narrow], half[narrow]
         reference = center[:, None, :2]
         ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
@@ -109,18 +101,18 @@ class RigidBodySpace(BodySpace):
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
         points = points.reshape(len(center), 4 * (tips.shape[1] + 1), 2)
         hulls: Any = shapely.convex_hull(shapely.linestrings(points))
-        free[narrow] = ~come_near(self.workspace, hulls, self.robot.rounding)
+        free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
         return free
 
-    def _is_hit(self, center: Boxes, half: Boxes) -> Booleans:
-        """Whether the body certainly overlaps obstacles, or the outside of the bounds, all over each box."""
+    def _is_blocked(self, center: Boxes, half: Boxes) -> Booleans:
+        """Return whether, all over each box, the body certainly overlaps obstacles or the outside of the bounds."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
-        # About any of its points, a convex body scaled by 1 - m / depth, where that is the depth of the point, lies
-        # within the body eroded by m. Wherever an eroded body is, the body still is after its points moved by m.
-        middle, depth = self._middle
-        erosion = _motions(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
+        # Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the body
+        # eroded by m. If no point of the body moves farther than m, the moved body still covers the eroded body.
+        middle, depth = self._deepest_point
+        erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         small = erosion < depth
         share = (1 - erosion[small] / depth)[:, None, None]
         eroded = _placed(middle + share * (self.robot.core - middle), center[small])
@@ -129,13 +121,13 @@ class RigidBodySpace(BodySpace):
         for point, depth in zip(*self._probes, strict=True):
             left = np.flatnonzero(~hit[rows])
             position = _placed(point[None], center[left])[:, 0]
-            spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[left]] = have_walls_within(self.workspace, position, spare)
+            spare = depth - _motion_bounds(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
+            hit[rows[left]] = walls_within(self.workspace, position, spare)
         return hit
 
     @cached_property
-    def _middle(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """A point of the core that is nearly as deep in it as any, and how deep; 0 of a core without area."""
+    def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
+        """Approximate deepest point of the core, and its depth; depth 0 for a core without area."""
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
@@ -145,9 +137,9 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
-        """Points of the body, and radii of discs about them within it: the reference point first, vertices last."""
+        """Points of the body and radii of discs around them within the body: the reference point first."""
         core, rounding = self.robot.core, self.robot.rounding
-        middle, _ = self._middle
+        middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
         points = np.concatenate([middle[None], (middle + rim) / 2, rim])
         inside = side_offsets(core, points).min(axis=0) if len(core) > 2 else np.zeros(len(points))
@@ -155,13 +147,13 @@ class RigidBodySpace(BodySpace):
         return np.vstack([np.zeros((1, 2)), points]), np.append(self.robot.inscribed_radius, depths)
 
 
-def _motions(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
-    """How far a point of the body at a radius moves at most from the center of each box."""
+def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
+    """Bound how far a point of the body at a radius moves from the center of each box."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Points of the body's own frame where configurations place them, turned a little farther."""
+    """Transform points of the body frame to configurations, turned by an additional angle."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

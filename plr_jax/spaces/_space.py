@@ -1,4 +1,4 @@
-"""What a configuration space is: a domain, the cost of a motion in it, and what of it is proven free."""
+"""Protocols of configuration spaces: a domain, the cost of a motion, and tests of what is free."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,11 +16,11 @@ Configurations = Float[np.ndarray, "n dof"]
 
 
 class CellState(IntEnum):
-    """What is known of a box of configurations.
+    """The state of a box of configurations, as far as it is proven.
 
     Attributes:
-        BLOCKED: No path passes: no configuration in the interior of the box is free.
-        FREE: Every configuration of the closed box is free, and through any of them the way into other such boxes.
+        BLOCKED: No path passes through the interior of the box.
+        FREE: Every configuration of the closed box is free, and paths may pass through each into adjacent FREE boxes.
         MIXED: Neither is proven.
     """
 
@@ -31,15 +31,15 @@ class CellState(IntEnum):
 
 @dataclass(frozen=True, init=False)
 class MotionCost:
-    """Cost of motions: an infinitesimal one, ``dq``, costs the sum over blocks of ``weight * |dq[axes]|``.
+    """The cost of a motion: an infinitesimal motion ``dq`` costs the sum over blocks of ``weight * |dq[axes]|``.
 
-    Length in the plane is ``(((0, 1), 1.0),)``; length and weighted turn of a rigid body are
-    ``(((0, 1), 1.0), ((2,), rotation_weight))``. It is a norm of the motion, the same everywhere, so a straight
-    motion is a cheapest one where nothing is in its way. There and back cost the same: time cannot be an axis.
+    Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of a rigid body is ``(((0, 1), 1.0),
+    ((2,), rotation_weight))``. This is a norm, the same at every configuration. So an unobstructed straight motion is
+    optimal, and a motion costs the same in reverse: time cannot be an axis.
 
     Args:
-        blocks: Pairs of axes and a weight, positive: the cost of a motion of length 1 along these axes alone. Every
-            axis is in one block.
+        blocks: Pairs ``(axes, weight)``: a motion of length 1 within these axes costs ``weight``. Every axis is in
+            one block.
 
     Raises:
         ValueError: If an axis is in no block or in several, or a weight is not positive and finite.
@@ -55,10 +55,12 @@ class MotionCost:
         given = [axis for axes, _ in pairs for axis in axes]
         are_integers = all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in given)
         if not are_integers or not all(axes for axes, _ in pairs):
-            expected = "pairs of axes and a weight, each of one or more axes, some integers, and a weight"
+            expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
             raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
         if not given or sorted(given) != list(range(len(given))):
-            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(given)}.")
+            raise ValueError(
+                f"The blocks of a MotionCost must hold each axis from 0 on exactly once, got {sorted(given)}."
+            )
         weight_of = partial(as_finite, "The weight of a block", positive=True)
         kept = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
         object.__setattr__(self, "blocks", kept)
@@ -70,101 +72,91 @@ class MotionCost:
 
     @property
     def scale(self) -> Float[np.ndarray, "dof"]:
-        """What a motion of length 1 along each axis costs."""
+        """Cost of a motion of length 1 along each axis, ``(dof,)``."""
         return self.norm(np.eye(self.dof))
 
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
-        """Cost of straight motions, around periodic axes the short way.
+        """Return the costs of straight motions, ``(n,)``; NaN where a configuration is not finite.
 
         Args:
-            q0: Where they begin, ``(n, dof)``.
-            q1: Where they end, ``(n, dof)``.
-            domain: The box that says which axes are periodic, and how wide.
-
-        Returns:
-            Their costs, ``(n,)``; NaN where a configuration is not finite. Obstacles make no difference.
+            q0: Start configurations, ``(n, dof)``.
+            q1: End configurations, ``(n, dof)``.
+            domain: The box whose periodic axes motions cross the short way. Obstacles are ignored.
 
         Raises:
-            ValueError: If the shapes are others or differ, or the domain has another dimension.
+            ValueError: If shapes are wrong or differ, or the domain has another dimension.
         """
         if domain.dim != self.dof:
-            raise ValueError(f"A cost of {self.dof} axes needs a domain of as many, got {domain}.")
+            raise ValueError(f"A cost of {self.dof} axes needs a domain of {self.dof} axes, got {domain}.")
         q0, q1 = as_motions(q0, q1, self.dof)
         return self.norm(domain.difference(q1, q0))
 
     def norm(self, change: Configurations) -> Float[np.ndarray, "n"]:
-        """Cost of straight motions by what they change.
-
-        Args:
-            change: End less beginning, ``(n, dof)``.
-
-        Returns:
-            Their costs, ``(n,)``.
-        """
+        """Return the costs, ``(n,)``, of straight motions given as end minus start, ``(n, dof)``."""
         return np.sum([weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks], axis=0)
 
 
 @runtime_checkable
 class FreeTest(Protocol):
-    """The least that a configuration space says of itself: where one may be, and what motions cost.
+    """The minimal configuration space: which configurations are free, and what motions cost.
 
-    It suffices for estimates. What is to be proven needs a :class:`ConfigurationSpace`.
+    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. All methods raise
+    ``ValueError`` if arrays have a wrong shape or different lengths.
     """
 
     @property
     def domain(self) -> Box:
-        """The box of all configurations; what lies outside, but around a periodic axis, is not free."""
+        """The box of all configurations; outside it nothing is free. Periodic axes wrap around."""
         ...
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Cost of motions, of as many axes as the domain."""
+        """Cost of motions, with one axis per axis of the domain."""
         ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Whether configurations ``(n, dof)`` are free; False for those that are not finite."""
+        """Return whether configurations ``(n, dof)`` are free; False for those that are not finite."""
         ...
 
 
 @runtime_checkable
 class ConfigurationSpace(FreeTest, Protocol):
-    """A configuration space that proves of whole boxes and whole motions whether they are free.
+    """A configuration space that can prove that whole boxes and straight motions are free.
 
-    Both answers are conservative, errors of rounding included. The free configurations are a closed set: what only
-    touches is free.
+    Both tests are conservative, including rounding errors. The free configurations form a closed set: touching an
+    obstacle is free. Methods raise ``ValueError`` if a box has corners that are not finite, or ``hi`` below ``lo``.
     """
 
     def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of configurations with corners ``lo`` and ``hi``, each ``(n, dof)``.
+        """Return the :class:`CellState` of boxes, ``(n,)``, given their lower and upper corners, ``(n, dof)``.
 
-        Returns:
-            The :class:`CellState` of each, ``(n,)``: FREE only if every configuration of the closed box is free,
-            BLOCKED only if no path of positive length passes through its interior, else MIXED.
+        A box is MIXED unless FREE or BLOCKED is proven. Boxes may leave the domain.
         """
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Whether straight motions between configurations ``(n, dof)`` are proven free all along.
+        """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
 
-        All axes change in proportion, periodic ones the short way, of half a period upward.
+        All axes change in proportion. Periodic axes take the short way; exactly half a period goes upward. The result
+        is False where an end is not finite.
         """
         ...
 
 
 @runtime_checkable
 class SeesBoxes(Protocol):
-    """A configuration space that proves of boxes, which need not be free, that all free parts are seen from a point.
+    """A configuration space that can prove that a point sees every free part of a box.
 
-    With it, bounds from above hold beside walls, in boxes that are neither free nor blocked.
+    With it, upper bounds of distances also hold in MIXED boxes next to walls.
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Whether from every free configuration of each box ``lo`` to ``hi`` the straight motion to ``q`` is free."""
+        """Return where the straight motion to ``q`` is proven free from all free configurations of a box."""
         ...
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
-    """Ends of motions as arrays of one shape; ``ValueError`` if they are none."""
+    """Check the ends of motions and return them as arrays ``(n, dof)``."""
     q0, q1 = as_points("q0", q0, dof), as_points("q1", q1, dof)
     if len(q0) != len(q1):
         raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
@@ -172,7 +164,7 @@ def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, 
 
 
 def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
-    """Centers of boxes and half their widths; ``ValueError`` if the corners are not those of boxes."""
+    """Check the corners of boxes and return centers and half widths, ``(n, dof)`` each."""
     lo, hi = as_points("lo", lo, dof), as_points("hi", hi, dof)
     if len(lo) != len(hi):
         raise ValueError(f"Boxes need as many lower corners as upper ones, got {len(lo)} and {len(hi)}.")
@@ -180,26 +172,26 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
     if not fine.all():
         i = fine.argmin()
         got = f"{lo[i].tolist()} and {hi[i].tolist()} for box {i}"
-        raise ValueError(f"Boxes must have finite corners, hi nowhere below lo, got {got}.")
+        raise ValueError(f"Boxes must have finite corners with hi nowhere below lo, got {got}.")
     return lo + (hi - lo) / 2, (hi - lo) / 2
 
 
 def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, "n"]:
-    """What a space said of boxes, a :class:`CellState` each; ``ValueError`` if that is something else."""
+    """Check the answer of a space's ``classify``: one :class:`CellState` per box."""
     answer = np.asarray(states)
     if answer.shape != (n,) or not np.isin(answer, list(CellState)).all():
-        raise ValueError(f"classify must return one CellState a box, shape ({n},), got {shortened(states)}.")
+        raise ValueError(f"classify must return one CellState per box, shape ({n},), got {shortened(states)}.")
     return answer.astype(np.int8)
 
 
 def precision_of(numbers: ArrayLike) -> float:
-    """The relative precision of what a function returns, which may come in 32 bits, as from JAX, or in 16."""
+    """Return the relative precision of a function's answers, float64 or less, such as JAX's float32."""
     return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """What a space that only tests configurations says, checked: the base of those that ask it about more."""
+    """A wrapper of a space that checks the answers of ``is_free``; the base of wrappers that add methods."""
 
     space: FreeTest
 
@@ -216,11 +208,11 @@ class CheckedSpace:
 
 
 def require_space(space: object) -> None:
-    """Raise ``ValueError`` if it is no configuration space, of at least :class:`FreeTest`."""
+    """Raise ``ValueError`` unless an object is at least a :class:`FreeTest`."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
         raise ValueError(
-            "space must be a configuration space, such as PlaneSpace(workspace), with a domain, a motion_cost and "
-            f"is_free, got {shortened(space)}."
+            "space must be a configuration space with a domain, a motion_cost and is_free, such as "
+            f"PlaneSpace(workspace), got {shortened(space)}."
         )
     domain, motion = space.domain, space.motion_cost
     if not isinstance(domain, Box):
@@ -229,5 +221,5 @@ def require_space(space: object) -> None:
         range(domain.dim)
     ):
         raise ValueError(
-            f"The space's motion_cost must be a MotionCost of its {domain.dim} axes, got {shortened(motion)}."
+            f"The space's motion_cost must be a MotionCost of {domain.dim} axes, got {shortened(motion)}."
         )

@@ -1,4 +1,4 @@
-"""The configuration space of a point or a ball among voxels, in one to four dimensions."""
+"""The configuration space of a point or ball among voxels, in one to four dimensions."""
 
 from dataclasses import dataclass
 
@@ -15,35 +15,35 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Booleans = Bool[np.ndarray, "n"]
 
-_LEAST_RADIUS = 1e3  # tolerances
+_LEAST_RADIUS = 1e3  # in tolerances
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class VoxelSpace:
-    """Positions of a point or of a ball among voxels; the cost of a motion is its length.
+    """Positions of a point or ball among voxels; the cost of a motion is its length.
 
-    Voxel ``[i, j, k]`` of the default bounds fills ``[i, i + 1] x [j, j + 1] x [k, k + 1]``: axes of the array are
-    those of points, in order. (In :class:`Workspace.from_mask`, as of pictures, rows are ``y``.) Free is what keeps
-    the robot off blocked voxels and within the bounds; it may touch them. A point passes between two blocked voxels
-    that touch in an edge or a corner as little as it does in the plane: two free voxels are joined through faces.
+    With default bounds, voxel ``[i, j, k]`` fills ``[i, i + 1] x [j, j + 1] x [k, k + 1]``: array axes are coordinate
+    axes, in order. (In :class:`Workspace.from_mask`, as in pictures, rows are ``y``.) A position is free if the robot
+    overlaps neither blocked voxels nor the outside of the bounds; it may touch them. A point cannot pass between two
+    blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
 
-    For a point all answers are exact. A ball keeps off by its radius to the ``tolerance``, and of boxes some that
-    several blocked voxels forbid together, none of them alone, are called MIXED.
+    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``. For a ball, some
+    boxes that several blocked voxels forbid jointly, but none alone, are MIXED instead of BLOCKED.
 
     Args:
-        free: Which voxels are free, booleans of one to four axes.
-        bounds: The box that the voxels fill, or its corners ``(lo, hi)``: of the outer voxels, not of their centers.
-            Voxels need not be cubes. None: each has sides of 1, and the first its corner at 0.
-        radius: Of the ball, in units of the bounds; 0: a point.
+        free: Boolean array of one to four axes, True where a voxel is free.
+        bounds: The box that the voxels fill, or its corners ``(lo, hi)``: outer faces, not voxel centers. Voxels need
+            not be cubes. None: unit voxels, the first with its corner at 0.
+        radius: Radius of the ball, in units of the bounds; 0 for a point.
 
     Attributes:
         grid: The voxels.
         radius: As given.
 
     Raises:
-        ValueError: If ``free`` is no array of booleans of one to four axes, none is free, the bounds are no box of as
-            many axes or have periodic ones, voxels are so small that coordinates cannot tell them apart, or the
-            radius is negative, not finite, above 0 but below a thousand tolerances, or more than half of a width.
+        ValueError: If ``free`` is not such an array or has no free voxel; the bounds have another dimension, periodic
+            axes, or voxels too small for the precision of coordinates; or the radius is negative, not finite, above 0
+            but below a thousand tolerances, or above half the narrowest width of the bounds.
     """
 
     grid: VoxelGrid
@@ -54,13 +54,13 @@ class VoxelSpace:
         object.__setattr__(self, "radius", as_finite("radius", radius))
         if 0 < self.radius < _LEAST_RADIUS * self.tolerance:
             raise ValueError(
-                f"radius must be 0, for a point, or at least {_LEAST_RADIUS * self.tolerance:.2g} in {self.domain}, "
+                f"radius must be 0 for a point, or at least {_LEAST_RADIUS * self.tolerance:.2g} in {self.domain}, "
                 f"got {self.radius:g}."
             )
         if self.radius > self.domain.width.min() / 2:
             raise ValueError(
-                f"radius must be at most {self.domain.width.min() / 2:g}, or the ball fits nowhere into "
-                f"{self.domain}, got {self.radius:g}."
+                f"radius must be at most {self.domain.width.min() / 2:g}, for the ball to fit into {self.domain}, "
+                f"got {self.radius:g}."
             )
 
     def __repr__(self) -> str:
@@ -69,7 +69,7 @@ class VoxelSpace:
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Which voxels are free, read-only."""
+        """Boolean array of the free voxels, read-only."""
         return self.grid.free
 
     @property
@@ -84,21 +84,13 @@ class VoxelSpace:
 
     @property
     def tolerance(self) -> float:
-        """By which a ball may be nearer than its radius, in units of the bounds."""
+        """Distance by which a ball may come nearer than its radius, in units of the bounds."""
         return rounding_of(self.domain)
 
     def is_free(self, q: ArrayLike) -> Booleans:
-        """Whether configurations are free.
+        """Return whether positions ``(n, dim)`` of the point or the ball's center are free; False if not finite.
 
-        Args:
-            q: Positions, ``(n, dim)``, of the ball's center.
-
-        Returns:
-            True where the point is in no blocked voxel's interior, nor between blocked ones, nor outside the bounds,
-            or the ball keeps off all of that; False for configurations that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
+        A point is free if a closed free voxel contains it.
         """
         q = as_points("q", q, self.grid.dim)
         free = np.isfinite(q).all(axis=1)
@@ -111,24 +103,16 @@ class VoxelSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """What is proven of boxes of positions.
+        """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
 
-        Args:
-            lo: Lower corners, ``(n, dim)``, finite.
-            hi: Upper corners, ``(n, dim)``, finite and nowhere below.
-
-        Returns:
-            The :class:`CellState` of each, ``(n,)``. For a point, one that touches an edge or a corner in which
-            blocked voxels touch is not FREE, as no path passes there from one side to the other. A box without
-            extent along some axis that lies in a face of a blocked voxel is not FREE either.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        For a point, a box that touches an edge or corner where blocked voxels touch is not FREE, since no path passes
+        there from one side to the other. A box without extent along some axis that lies in a face of a blocked voxel
+        is not FREE either.
         """
         as_boxes(lo, hi, self.grid.dim)
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
         (_, above), (below, _) = self.grid.numbers(lo), self.grid.numbers(hi)
-        first, last = np.minimum(above, below), np.maximum(above, below)  # which a box without extent may exchange
+        first, last = np.minimum(above, below), np.maximum(above, below)  # swapped for a box without extent on a face
         num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.num_blocked(first, last)
         state = np.full(len(num), CellState.MIXED, np.int8)
         state[num_blocked == num] = CellState.BLOCKED
@@ -136,7 +120,7 @@ class VoxelSpace:
         if self.radius == 0:
             state[free[~self.grid.touches_contact(lo[:, free], hi[:, free])]] = CellState.FREE
             return state
-        # With margins of half the tolerance, so that rounding makes no difference.
+        # Margins of half the tolerance cover rounding errors.
         near, forbidden = (self.radius - share * self.tolerance for share in (0.5, 1.5))
         state[free[~blocked_within(self.grid, lo[:, free], hi[:, free], near)]] = CellState.FREE
         mixed = np.flatnonzero(state == CellState.MIXED)
@@ -144,19 +128,10 @@ class VoxelSpace:
         return state
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Whether straight motions are proven free all along.
+        """Return whether straight motions are proven free all the way.
 
-        Args:
-            q0: Where they begin, ``(n, dim)``.
-            q1: Where they end.
-
-        Returns:
-            True where the whole motion is free and, for a point, passes from no free voxel to another but through
-            faces; motions within a face or an edge do where they can along the voxels beside it. False where an end
-            is not finite.
-
-        Raises:
-            ValueError: If the shapes are others or differ.
+        A point may change from one free voxel to another only through faces. A motion within a face or along an edge
+        is free where a path beside it is.
         """
         q0, q1 = as_motions(q0, q1, self.grid.dim)
         free = np.isfinite(q0 + q1).all(axis=1)
@@ -168,19 +143,10 @@ class VoxelSpace:
         return free
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Whether positions are seen from everywhere in boxes that is free: proven for points, never for balls.
+        """Return whether positions are proven to see every free position of a box: for points only, never for balls.
 
-        Args:
-            q: Positions, ``(n, dim)``, in or beside their boxes.
-            lo: Lower corners of boxes, ``(n, dim)``, finite.
-            hi: Upper corners, finite and nowhere below.
-
-        Returns:
-            True where the free voxels that the box touches form a box, and the position is in what the two have in
-            common. False in an edge or a corner in which blocked voxels touch.
-
-        Raises:
-            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        The free voxels that the box touches must form a box, and the position must lie in both boxes. The result is
+        False on an edge or corner where blocked voxels touch.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:

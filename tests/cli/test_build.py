@@ -10,7 +10,7 @@ from PIL import Image
 
 import plr_jax
 from plr_jax import VisibilityGraph, construct, load, save, scenes
-from plr_jax.cli.app import saying
+from plr_jax.cli.app import progress
 from plr_jax.geometry.cell_sight import CellSources
 from plr_jax.plr.leaves import leaf_names
 
@@ -198,7 +198,7 @@ class Terminal(io.StringIO):
 def test_a_terminal_shows_what_is_being_done_and_then_no_more(monkeypatch):
     for stream, said in ((Terminal(), ["reading a ...", "\r\x1b[K"]), (io.StringIO(), ["", ""])):
         monkeypatch.setattr("sys.stderr", stream)
-        with saying("reading a"):
+        with progress("reading a"):
             assert stream.getvalue() == said[0]
         assert stream.getvalue() == "".join(said)
 

@@ -231,7 +231,7 @@ def test_what_a_space_says_of_boxes_is_checked(answer):
         def classify(self, lo, hi):
             return answer
 
-    with pytest.raises(ValueError, match="classify must return one CellState a box"):
+    with pytest.raises(ValueError, match="classify must return one CellState per box"):
         solve_eikonal(Wrong(PlaneSpace(ROOM)), GOAL, max_leaves=64)
 
 
@@ -266,7 +266,7 @@ def of_bounds(answer):
         ({"seed": -1}, "seed must be"),
         ({"cost_map": 2.0}, "cost_map must be a CostMap, such as LipschitzCost or RasterCost, got 2.0"),
         *(
-            ({"space": space}, "space must be a configuration space, such as PlaneSpace")
+            ({"space": space}, "space must be a configuration space with .* such as PlaneSpace")
             for space in (ROOM, None, PlaneSpace, lambda q: True)
         ),
         *(
@@ -278,7 +278,7 @@ def of_bounds(answer):
             for b, message in (
                 (3.0, "be two arrays"),
                 ("low and high", "be"),
-                ((np.ones(1), np.ones(2)), "give one number a point"),
+                ((np.ones(1), np.ones(2)), "give one number per point"),
             )
         ),
     ],

@@ -238,8 +238,8 @@ def test_the_player_plays_pauses_slides_and_begins_again(tmp_path):
     ("arguments", "message"),
     [
         ({"path": PATH[:, 0]}, "A path must have shape"),
-        ({"path": PATH[:1]}, "nothing to animate: no robot moves in the path's 1 step"),
-        ({"path": PATH[[0, 0]]}, "nothing to animate: no robot moves in the path's 2 step"),
+        ({"path": PATH[:1]}, "path must move a robot .* got 1 step"),
+        ({"path": PATH[[0, 0]]}, "path must move a robot .* got 2 step"),
         ({"path": np.where(PATH == 4, np.inf, PATH)}, "A path must be finite, got .* in step 1"),
         ({"seconds": 0}, "seconds must be a positive finite number"),
         ({"seconds": float("inf")}, "seconds must be a positive finite number"),
@@ -254,6 +254,6 @@ def test_what_cannot_be_animated_is_refused(arguments, message):
 
 @pytest.mark.parametrize("name", ["a.mp4", "a", "gif"])
 def test_other_endings_are_refused_and_nothing_is_written(tmp_path, name):
-    with pytest.raises(ValueError, match=r"written as \.gif or \.html"):
+    with pytest.raises(ValueError, match=r"written to a \.gif or \.html file"):
         plot.animate(TEAM, PATH).save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

@@ -66,14 +66,14 @@ def test_a_page_is_saved_and_shows_itself_in_a_notebook(held, tmp_path):
     page.save(tmp_path / "a.html")
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == page.html
     assert page._repr_html_().startswith("<iframe srcdoc=") and 'sandbox="allow-scripts"' in page._repr_html_()
-    with pytest.raises(ValueError, match=r"written as \.html"):
+    with pytest.raises(ValueError, match=r"written to an \.html file"):
         page.save(tmp_path / "a.png")
 
 
 def test_what_is_not_shown_is_refused(held):
-    with pytest.raises(ValueError, match="shows a PLR or pairs"):
+    with pytest.raises(ValueError, match="needs a PLR or a PairPLR"):
         plot.page(held["cones"].numpy())
-    with pytest.raises(ValueError, match="got a PLR of 3 axes"):
+    with pytest.raises(ValueError, match="got one of 3"):
         plot.page(construct(Euclidean((0, 0, 0)), ((-1, -1, -1), (1, 1, 1)), max_leaves=4))
 
 
@@ -154,8 +154,8 @@ def test_what_is_told_follows_the_pointer_and_keys(held, browser, tmp_path):
 
     browser.mouse("mouseMoved", *at(0.5, 0.6))
     said = browser.run('byId("readout").textContent')
-    assert told_in(said) == pytest.approx(float(held["cones"]([0.5, 0.6])), abs=2e-3) and "Proven: between" in said
-    assert re.search(r"The path that the file holds has \d legs", said)
+    assert told_in(said) == pytest.approx(float(held["cones"]([0.5, 0.6])), abs=2e-3) and "Proven to be between" in said
+    assert re.search(r"The stored path has \d segments", said)
     browser.mouse("mouseMoved", *at(0.3, 0.7))
     assert "inside a wall" in browser.run('byId("readout").textContent')
     browser.run("stage.focus()")
@@ -239,7 +239,7 @@ def test_another_file_is_opened_where_one_is_given(held, browser, tmp_path):
         browser.wait(f'opened.title === "{name}.plr" || !byId("error").hidden')
         assert says in browser.run('byId("facts").textContent')
         assert browser.run('byId("error").hidden') == (name != "planes")
-    said = "planes.plr cannot be shown: it holds planes, which this page does not read: plr-jax view makes"
+    said = "planes.plr cannot be shown: it holds planes, which this page cannot read; use the command plr-jax view"
     assert browser.run('byId("error").textContent').startswith(said)
     assert browser.run("opened.title") == "cones.plr" and not browser.errors
 

@@ -158,9 +158,9 @@ def test_an_oracle_may_compute_in_place():
 @pytest.mark.parametrize(
     ("call", "answer", "message"),
     [
-        (sampling.call_oracle, lambda x: x, "distance_fn must give one number a point"),
-        (sampling.call_oracle, lambda x: np.ones(len(x) - 1), "distance_fn must give one number a point"),
-        (sampling.call_oracle, lambda x: 1.0, "distance_fn must give one number a point"),
+        (sampling.call_oracle, lambda x: x, "distance_fn must give one number per point"),
+        (sampling.call_oracle, lambda x: np.ones(len(x) - 1), "distance_fn must give one number per point"),
+        (sampling.call_oracle, lambda x: 1.0, "distance_fn must give one number per point"),
         (
             sampling.call_oracle,
             lambda x: np.full(len(x), np.nan),
@@ -173,7 +173,7 @@ def test_an_oracle_may_compute_in_place():
         (sampling.call_oracle, lambda x: 1j * cone(x), "answer must be real numbers"),
         (sampling.call_weights, lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
         (sampling.call_weights, lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
-        (sampling.call_weights, lambda x: x, "weight_fn must give one number a point"),
+        (sampling.call_weights, lambda x: x, "weight_fn must give one number per point"),
         (
             sampling.call_weights,
             lambda x: np.ma.masked_less(np.ones(len(x)), 2),
@@ -195,5 +195,5 @@ def test_a_function_of_one_point_is_told_that_it_is_called_with_many(one_point):
     assert caught.value.__notes__ == [
         "distance_fn was called with points (n, dim) = (5, 2), and must answer distances (n,)."
     ]
-    with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with points \(5, dim\) at once"):
+    with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with a batch of points \(5, dim\)"):
         sampling.call_oracle(np.linalg.norm, np.zeros((5, 2)))

@@ -151,9 +151,9 @@ def ring(**obstacle):
         (ring(holes=[]), "expected obstacle 0 to be"),
         (ring(outer=[[0, 0], [1, 1]]), "Obstacle 0 has 2 distinct vertices"),
         (ring(outer="ring"), "Obstacle 0"),
-        (ring(outer=SQUARE, holes=[3]), "a ring of obstacle 0"),
-        (ring(outer=SQUARE, holes=[[[0, 0]]]), "a ring of obstacle 0"),
-        (ring(outer=SQUARE, holes=[[["a", 0], [0, 1], [1, 1]]]), "a ring of obstacle 0"),
+        (ring(outer=SQUARE, holes=[3]), "rings of obstacle 0"),
+        (ring(outer=SQUARE, holes=[[[0, 0]]]), "rings of obstacle 0"),
+        (ring(outer=SQUARE, holes=[[["a", 0], [0, 1], [1, 1]]]), "rings of obstacle 0"),
     ],
 )
 def test_broken_scenes_are_refused_by_name_and_reason(scene, message, tmp_path):

@@ -98,7 +98,7 @@ NOTHING = [
 
 @pytest.mark.parametrize("nothing", NOTHING, ids=str)
 def test_what_is_null_or_empty_counts_for_nothing_anywhere(nothing, tmp_path):
-    with pytest.raises(ValueError, match=r"a\.geojson: expected (a polygon at least, got none|GeoJSON)"):
+    with pytest.raises(ValueError, match=r"a\.geojson: expected (at least one polygon, got none|GeoJSON)"):
         scenes.read_geojson(written(tmp_path, nothing if nothing else "null"))
     is_geometry = nothing is None or not nothing["type"].startswith("Feature")
     inside = {"type": "GeometryCollection", "geometries": [nothing, TRIANGLE]}
@@ -137,26 +137,32 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ("[" * 10**5, "expected JSON"),
         ([1], "expected GeoJSON"),
         ({"type": "Topology"}, "expected GeoJSON"),
-        (collection(), "expected a polygon at least, got none"),
-        (collection(None), "expected a polygon at least, got none"),
+        (collection(), "expected at least one polygon, got none"),
+        (collection(None), "expected at least one polygon, got none"),
         (collection(shapely.Point(1, 2)), r"features\[0\] geometry: expected .*, Polygon, got 'Point'"),
         (collection(TABLE, shapely.LineString([(0, 0), (1, 1)])), r"features\[1\] geometry: .* got 'LineString'"),
         ({"type": "FeatureCollection", "features": [3]}, r"features\[0\]: expected an object .* got 3"),
-        ({"type": "FeatureCollection"}, 'the file: a FeatureCollection needs the key "features", .* has only type'),
+        (
+            {"type": "FeatureCollection"},
+            'the file: expected a FeatureCollection to have the key "features", got only type',
+        ),
         ({"type": "FeatureCollection", "features": {}}, '"features" of a FeatureCollection to be a list, got {}'),
-        ({"type": "Feature", "id": 1}, 'the file: a Feature needs the key "geometry", .* has only type, id'),
+        ({"type": "Feature", "id": 1}, 'the file: expected a Feature to have the key "geometry", got only type, id'),
         ({"type": "Feature", "geometry": []}, r'geometry: expected an object of "type" .* got \[\]'),
         ({"type": "Feature", "geometry": {"coordinates": []}}, r"geometry: expected an object .* got {'coord"),
-        ({"type": "GeometryCollection"}, 'a GeometryCollection needs the key "geometries"'),
-        ({"type": "MultiPolygon"}, 'a MultiPolygon needs the key "coordinates"'),
-        ({"type": "Polygon"}, 'the file: a Polygon needs the key "coordinates"'),
-        (feature(TABLE) | {"geometry": {"type": "Polygon"}}, 'geometry: a Polygon needs the key "coordinates"'),
+        ({"type": "GeometryCollection"}, 'a GeometryCollection to have the key "geometries"'),
+        ({"type": "MultiPolygon"}, 'a MultiPolygon to have the key "coordinates"'),
+        ({"type": "Polygon"}, 'the file: expected a Polygon to have the key "coordinates"'),
+        (
+            feature(TABLE) | {"geometry": {"type": "Polygon"}},
+            'geometry: expected a Polygon to have the key "coordinates"',
+        ),
         ({"type": "Polygon", "coordinates": 3}, 'the file: expected "coordinates" of a Polygon to be a list, got 3'),
         ({"type": "Polygon", "coordinates": SQUARE}, r"polygon: expected a ring, .* got \[0, 0\]"),
         ({"type": "Polygon", "coordinates": [[["0", "0"], ["1", "0"], ["0", "1"]]]}, "of numbers, got"),
         ({"type": "Polygon", "coordinates": [["12", "34", "57"]]}, "of numbers, got"),
         ({"type": "Polygon", "coordinates": [[[True, False], [2, 0], [2, 1]]]}, "of numbers, got"),
-        ({"type": "Polygon", "coordinates": []}, "expected a polygon at least, got none"),
+        ({"type": "Polygon", "coordinates": []}, "expected at least one polygon, got none"),
         ({"type": "Polygon", "coordinates": [[], SQUARE]}, "polygon: expected an outer ring before its holes"),
         ({"type": "MultiPolygon", "coordinates": [3]}, "polygon 0: expected a list of rings, got 3"),
         ({"type": "Polygon", "coordinates": [SQUARE[:2]]}, "at least 3 finite points"),
@@ -168,7 +174,10 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ({"type": "Polygon", "coordinates": [[[0, 0], [1, 1], [2, 2]]]}, "zero area"),
         (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
-        (collection(TABLE), "no free space: .* bounding box of the polygons: give bounds .* a \"bbox\".* 'free'"),
+        (
+            collection(TABLE),
+            "no free space: .* bounding box of the polygons: give larger bounds .* a \"bbox\".* polygons='free'",
+        ),
         (collection(TABLE, bbox=[2, 2, 4, 5]), "no free space: the obstacles cover its bounds.$"),
     ],
     ids=itertools.count(),
@@ -227,7 +236,7 @@ def test_a_walkable_area_of_a_building_is_read(data_dir):
     ("text", "message"),
     [
         ("", "expected one geometry in WKT"),
-        ("POLYGON EMPTY", "expected a polygon at least, got none"),
+        ("POLYGON EMPTY", "expected at least one polygon, got none"),
         ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
         ("POLYGON ((0 0, 1 0, 1 x, 0 0))", "expected one geometry in WKT"),
         (f"POLYGON {ROOM}\nPOLYGON {HALLWAY}", "Put several geometries into a GEOMETRYCOLLECTION"),

@@ -149,5 +149,5 @@ def test_what_is_no_map_is_refused_by_name(yaml, message, tmp_path):
 
 
 def test_a_missing_picture_is_an_error_of_the_system(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"image of .*map\.yaml: '.*none\.pgm'"):
+    with pytest.raises(FileNotFoundError, match=r"named as image in .*map\.yaml: '.*none\.pgm'"):
         scenes.read_map_server(written(tmp_path, YAML.replace("map.pgm", "none.pgm")))

@@ -114,14 +114,14 @@ def test_a_text_in_another_encoding_is_read_and_files_that_it_names_are_not(tmp_
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "a mesh needs a pitch, the width of its voxels: give one"),
+        ({}, "expected a pitch, the side of a voxel, for a mesh"),
         ({"pitch": 0}, "pitch must be a positive finite number, got 0"),
         ({"pitch": 1e-3}, r"at most 16,777,216 voxels, got 4000 x 4000 x 4000: give a larger pitch"),
         ({"pitch": 1e-320}, "at most 16,777,216 voxels, got inf x inf x inf"),
         ({"pitch": 1, "bounds": ((0, 0), (1, 1))}, "bounds of a mesh must be a Box of three axes"),
         ({"pitch": 1, "bounds": 3}, r"bounds must be a Box or its corners \(lo, hi\), got 3"),
         ({"pitch": 1e-10, "bounds": ((0, 0, 0), (1e-9, 1e-9, 1e-9))}, "triangles within 1,073,741,824 voxels"),
-        ({"pitch": 4}, "no free voxel"),
+        ({"pitch": 4}, "at least one free voxel"),
     ],
 )
 def test_a_callers_mistakes(options, message, tmp_path):
@@ -296,14 +296,14 @@ def test_rows_of_ply_may_be_in_any_order_and_none_at_all(tmp_path):
     ("change", "message"),
     [
         ((b"format ascii", b"format binary_middle_endian"), "expected a mesh"),
-        ((b"element face 11", b"element face -1"), "no such element: 'face' with -1 rows"),
+        ((b"element face 11", b"element face -1"), "element 'face' cannot have -1 rows"),
         ((b"element face 11", b"element face 99"), "expected a mesh"),
         ((b"vertex_index", b"corners"), "expected a mesh of faces"),
         ((b"\n3 0 1 2", b"\n3 0 1 99"), "expected a mesh"),
-        ((b"\n3 0 1 2", b"\n3 0 1 -2"), "the index of a corner is no whole number"),
-        ((b"\n3 0 1 2", b"\n3 0 1 2.5"), "the index of a corner is no whole number"),
-        ((b"\n3 0 1 2", b"\n-3 0 1 2"), "a list of -3.0 entries"),
-        ((b"\n3 0 1 2", b"\n3.7 0 1 2"), "a list of 3.7 entries"),
+        ((b"\n3 0 1 2", b"\n3 0 1 -2"), "the index of a corner is not an integer"),
+        ((b"\n3 0 1 2", b"\n3 0 1 2.5"), "the index of a corner is not an integer"),
+        ((b"\n3 0 1 2", b"\n-3 0 1 2"), "a list cannot have -3.0 entries"),
+        ((b"\n3 0 1 2", b"\n3.7 0 1 2"), "a list cannot have 3.7 entries"),
         ((b"\n3 0 1 2", b"\n3 0 1 x"), "expected a mesh"),
         ((b"property double x", b"property double u"), "expected a mesh"),
     ],
@@ -344,7 +344,7 @@ def test_stl_is_binary_or_text_whatever_its_header_says_and_may_have_more_bytes(
 def test_binary_stl_with_a_wrong_count_is_refused(promised, tmp_path):
     binary = stl_files()[0]
     data = binary[:80] + struct.pack("<I", promised) + binary[84:]
-    with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, and it has the bytes of 10"):
+    with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, its bytes hold 10"):
         read(tmp_path, data, "a.stl", pitch=0.25)
 
 

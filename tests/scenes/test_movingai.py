@@ -46,15 +46,15 @@ def test_boundaries_of_blocked_cells_are_free_and_straight_walls_have_no_points_
 
 
 BROKEN = [
-    ("map", "", "not a Moving AI map"),
-    ("map", "type octile\nheight 2\nwidth x\nmap\n..\n..\n", "not a Moving AI map"),
-    ("map", "type octile\nheight 0\nwidth 2\nmap\n", "not a Moving AI map"),
-    ("map", "type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "cut short: its header promises 3 rows, it has 2"),
+    ("map", "", "expected a Moving AI map"),
+    ("map", "type octile\nheight 2\nwidth x\nmap\n..\n..\n", "expected a Moving AI map"),
+    ("map", "type octile\nheight 0\nwidth 2\nmap\n", "expected a Moving AI map"),
+    ("map", "type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "expected 3 rows, as the header says, got 2"),
     ("map", "type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
-    ("map", "type octile\nheight 1\nwidth 2\nmap\n@T\n", "no passable cell"),
-    ("scen", "", "not a Moving AI scenario"),
-    ("scen", "0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "not a Moving AI scenario"),
-    ("scen", "version 1\n", "no queries"),
+    ("map", "type octile\nheight 1\nwidth 2\nmap\n@T\n", "at least one passable cell"),
+    ("scen", "", "expected a Moving AI scenario"),
+    ("scen", "0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "expected a Moving AI scenario"),
+    ("scen", "version 1\n", "at least one query, got none"),
     ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\n", "line 2: expected bucket"),
     ("scen", "version 1\n0\ta\t9\t9\t1\t2\t3\t4\t1\n0\ta\t9\t9\t1\t2\t3\tfour\t1\n", "line 3: expected bucket"),
     ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\tnan\t1\n", "line 2: expected bucket"),

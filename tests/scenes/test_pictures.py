@@ -133,7 +133,7 @@ def test_a_transparent_color_of_16_bits_is_refused(tmp_path):
     same(scenes.read_image(tmp_path / "a.png"), np.array([[False, False, True, True]]))
     (tmp_path / "a.png").write_bytes(png(4, 1, pixels, 16, kind=2, transparent=(3, 3, 3)))
     with pytest.raises(
-        ValueError, match=r"a\.png: expected a transparent color of 8 bits, got one of 16: save it with"
+        ValueError, match=r"a\.png: expected a transparent color of 8 bits, got 16 bits: save the picture with"
     ):
         scenes.read_image(tmp_path / "a.png")
 
@@ -164,7 +164,7 @@ def test_gray_tiff_of_16_bits_is_read(tmp_path):
 )
 def test_tiff_of_other_numbers_is_refused(data, tmp_path):
     (tmp_path / "a.tif").write_bytes(data)
-    expected = "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of others"
+    expected = "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels"
     with pytest.raises(ValueError, match=rf"a\.tif: {expected}: save it in 8 bits"):
         scenes.read_image(tmp_path / "a.tif")
 

@@ -222,8 +222,8 @@ def test_starts_and_goals_move_a_little_and_nothing_else_does(make):
         (scenes.door, [(number,) for number in (0, 1, 3, 52, 2.0, True, "2")], "num_robots must be an"),
         (scenes.crowd, [(number,) for number in (0, -1, 2.5, True)], "num_robots must be an integer"),
         (scenes.crowd, [(3, seed) for seed in (-1, 1.5, "a")], "seed must be an integer"),
-        (scenes.four_rooms, [(0,), (1,), (5,), (-3,)], "has 2, 3, 4, 8 robots"),
-        (scenes.cross, [(0,), (1,), (5,), (-3,)], "has 2, 3 robots"),
+        (scenes.four_rooms, [(0,), (1,), (5,), (-3,)], "must have 2, 3, 4, 8 robots"),
+        (scenes.cross, [(0,), (1,), (5,), (-3,)], "must have 2, 3 robots"),
         (
             scenes.perturbed,
             [(scenes.cross(2), 0, distance) for distance in (0, -1.0, np.nan, np.inf)],

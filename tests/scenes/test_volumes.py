@@ -43,23 +43,23 @@ def test_published_lists_are_read():
 
 
 BROKEN = [
-    ("", r"expected 'voxel nx ny nz' in its first line, got ''"),
-    ("octile 2 2 2\n", "not a list of voxels"),
-    ("voxel 2 2\n", "not a list of voxels"),
-    ("voxel 2 2 2 2\n", "not a list of voxels"),
-    ("voxel 2 -2 2\n", "not a list of voxels"),
-    ("voxel 2 2.0 2\n", "not a list of voxels"),
+    ("", r"with the first line 'voxel nx ny nz', got ''"),
+    ("octile 2 2 2\n", "expected a list of voxels"),
+    ("voxel 2 2\n", "expected a list of voxels"),
+    ("voxel 2 2 2 2\n", "expected a list of voxels"),
+    ("voxel 2 -2 2\n", "expected a list of voxels"),
+    ("voxel 2 2.0 2\n", "expected a list of voxels"),
     ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
     ("voxel 500 500 500\n0 0 0\n", "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500"),
     ("voxel 999999999 999999999 999999999\n", "expected one to 16,777,216 voxels"),
-    ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' a line, got '0 0'"),
-    ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' a line .*columns changed from 3 to 2"),
-    ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' a line .*'a'"),
+    ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
+    ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
+    ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
     ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
     ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
     ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
     ("voxel 2 2 2\n0 nan 0\n", r"got \[0.0, nan, 0.0\]"),
-    ("voxel 1 1 1\n0 0 0\n", "no free voxel"),
+    ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
 ]
 
 
@@ -78,7 +78,7 @@ WRONG = {
     "no axis": (np.array(True), r"one to 4 axes .*shape \(\)"),
     "five axes": (np.ones((1, 1, 1, 2, 1), bool), "one to 4 axes"),
     "nothing": (np.zeros((0, 3), bool), "something else or a damaged file|one to 268,435,456 voxels"),
-    "all blocked": (np.zeros((2, 2), bool), "no free voxel"),
+    "all blocked": (np.zeros((2, 2), bool), "at least one free voxel"),
 }
 
 

@@ -29,7 +29,7 @@ def test_what_cannot_be_read_is_said_by_name(tmp_path):
     with pytest.raises(ValueError, match=r"a\.doc: expected a file that ends in one of \.map, \.json"):
         scenes.read_workspace(tmp_path / "a.doc")
     (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
-    with pytest.raises(ValueError, match=r"a\.map: resolution is no option of files of this kind.*squeeze"):
+    with pytest.raises(ValueError, match=r"a\.map: expected options of this kind of file .squeeze., got resolution"):
         scenes.read_workspace(tmp_path / "a.map", resolution=2)
     for name in ("a.json", "a.yaml"):
         (tmp_path / name).write_text("[" * 10**5)

@@ -64,10 +64,10 @@ def test_links_that_are_no_neighbors_keep_off_one_another():
         ((OPEN, [1, 0], (0, 0)), r"must be positive, got \[1.0, 0.0\]"),
         ((OPEN, [1, np.nan], (0, 0)), "finite"),
         ((OPEN, [1], (0, 0, 0)), "base"),
-        ((OPEN, [1], (5, 0)), "no room"),
-        ((OPEN, [1], (3.9, 0), 0.3), "clearance is 0.1"),
+        ((OPEN, [1], (5, 0)), "must have a clearance of at least 0, half the width"),
+        ((OPEN, [1], (3.9, 0), 0.3), "at least 0.15, .* got 0.1"),
         ((OPEN, [1], (0, 0), -1.0), "width must be a finite number of at least 0"),
-        ((OPEN, [1, 1, 1], (0, 0), 0.0, True), "give one above 0"),
+        ((OPEN, [1, 1, 1], (0, 0), 0.0, True), "got width 0: give a width"),
     ],
 )
 def test_bad_input_is_refused(arguments, message):

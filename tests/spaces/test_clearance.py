@@ -183,7 +183,7 @@ def test_constants_that_are_too_small_are_noticed(lipschitz, axis):
     space = ClearanceSpace(HALL, of_drone, lipschitz)
     lo, hi = random_boxes(np.random.default_rng(5), HALL, 200, 3)
     with pytest.raises(
-        ValueError, match=r"lipschitz must bound how fast the clearance changes, but that is .* at \["
+        ValueError, match=r"lipschitz must bound how fast the clearance changes, but the clearance is .* at \["
     ):
         space.are_free(lo, hi)
     blamed = r"Axis \d needs" if axis is None else f"Axis {axis} needs"
@@ -198,8 +198,8 @@ def test_the_least_constants_are_those_of_the_two_configurations():
     with pytest.raises(ValueError) as error:
         steep.are_free([[1.0, 1.0]], [[2.0, 0.5]])
     assert str(error.value).endswith(
-        "that is 2 at [1.0, 1.0] and 5.5 at [2.0, 0.5]: they differ by 3.5, where [1.0, 0.5] allows 1.25. One axis "
-        "needs at least, if it is alone to blame: axis 0 3.25, or axis 1 5; else all need 2.33333."
+        "clearance is 2 at [1.0, 1.0] and 5.5 at [2.0, 0.5]: they differ by 3.5, where [1.0, 0.5] allows 1.25. Raise "
+        "the constant of one axis to at least: axis 0 3.25, or axis 1 5; or those of all axes to 2.33333."
     )
     with pytest.raises(ValueError, match=r"differ by 3, where .* allows 1\. Axis 0 needs at least 3\.$"):
         steep.are_free([[1.0, 1.0]], [[2.0, 1.0]])
@@ -220,8 +220,8 @@ def of_other(**changed):
     [
         ({"domain": 3}, r"domain must be a Box or its corners \(lo, hi\), got 3"),
         ({"clearance": 3}, r"clearance must be a function of configurations \(n, dof\), got 3"),
-        ({"clearance": lambda q: q}, r"clearance must give one number a point, shape \(1,\), got \(1, 3\)"),
-        ({"clearance": lambda q: q[:, 0] * np.nan}, r"clearance must give finite numbers, got nan at \[0.0, 0.0"),
+        ({"clearance": lambda q: q}, r"clearance must give one number per point, shape \(1,\), got \(1, 3\)"),
+        ({"clearance": lambda q: q[:, 0] * np.nan}, r"clearance must return finite numbers, got nan at \[0.0, 0.0"),
         ({"lipschitz": -1.0}, "lipschitz must be a finite number of at least 0, got -1.0"),
         ({"lipschitz": [1, 1, -1]}, r"lipschitz must be at least 0 along each axis, got \[1.0, 1.0, -1.0\]"),
         ({"lipschitz": [1, 1]}, r"lipschitz must be one point of shape \(3,\), got shape \(2,\)"),
@@ -238,5 +238,5 @@ def test_a_callers_mistakes(changed, message):
 
 def test_a_clearance_that_is_not_finite_somewhere_is_named():
     space = of_other(clearance=lambda q: np.where(q[:, 0] > 2, np.inf, 1.0))
-    with pytest.raises(ValueError, match=r"clearance must give finite numbers, got inf at \[3.0, 0.5, 0.5\]"):
+    with pytest.raises(ValueError, match=r"clearance must return finite numbers, got inf at \[3.0, 0.5, 0.5\]"):
         space.is_free([[1.0, 0.5, 0.5], [3.0, 0.5, 0.5]])

@@ -40,7 +40,7 @@ def test_what_functions_round_in_32_bits_is_allowed_for():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((3.0, 1.0, 1.0), "cost_fn must be a function of configurations, got 3.0"),
+        ((3.0, 1.0, 1.0), r"cost_fn must be a function of configurations \(n, dof\), got 3.0"),
         ((bumpy, -1.0, 1.0), "lipschitz must"),
         ((bumpy, np.nan, 1.0), "lipschitz must"),
         ((bumpy, np.inf, 1.0), "lipschitz must"),
@@ -59,8 +59,8 @@ def test_bad_arguments_are_refused(arguments, message):
 @pytest.mark.parametrize(
     ("cost_fn", "message"),
     [
-        (lambda q: 1.0, r"one number a point, shape \(3,\), got \(\)"),
-        (lambda q: q, r"one number a point, shape \(3,\), got \(3, 2\)"),
+        (lambda q: 1.0, r"one number per point, shape \(3,\), got \(\)"),
+        (lambda q: q, r"one number per point, shape \(3,\), got \(3, 2\)"),
         (lambda q: np.array([1.0, 0.1, 1.0]), "finite numbers of at least 0.5, got 0.1 at"),
         (lambda q: np.array([1.0, np.nan, 1.0]), "got nan at"),
         (lambda q: np.array([1.0, 1.0, np.inf]), "got inf at"),
@@ -115,8 +115,8 @@ def test_a_steady_current_is_crossed_in_the_known_time():
         (3, "pulls must be two arrays of vectors and two of numbers, got 3"),
         ((np.zeros((1, 3)), np.zeros((1, 2)), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
         ((np.zeros((1, 2)), np.full((1, 2), np.nan), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * np.ones(1), np.ones(1)), "the least nowhere above the most"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number a point"),
+        ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * np.ones(1), np.ones(1)), "least nowhere above most"),
+        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number per point"),
     ],
 )
 def test_pulls_that_are_none_are_refused(pulls, message):

@@ -154,7 +154,7 @@ def test_of_more_coordinates_the_leading_ones_count_and_what_is_not_finite_has_n
 @pytest.mark.parametrize("shape", [(1,), (37,), (1, 3), (17, 40), (3, 500), (9, 8, 11)], ids=str)
 @pytest.mark.parametrize("most_entries", [2**26, 1500])
 def test_a_sparse_table_has_the_extremes_of_blocks(shape, most_entries, monkeypatch):
-    monkeypatch.setattr("plr_jax.spaces._raster_cost._MOST_ENTRIES", most_entries)
+    monkeypatch.setattr("plr_jax.spaces._raster_cost._MAX_ENTRIES", most_entries)
     rng = np.random.default_rng(0)
     values = rng.integers(1, 1000, shape) * 1.0
     ends = np.sort(rng.integers(0, shape, (2, 200, len(shape))), axis=0)
@@ -170,10 +170,13 @@ def test_a_sparse_table_has_the_extremes_of_blocks(shape, most_entries, monkeypa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([1.0, 2], ((0, 0), (1, 1))), r"a raster of 2 axes, as the bounds have, 4 at most.* got shape \(2,\)"),
-        ((np.ones((1,) * 5), ((0,) * 5, (1,) * 5)), "4 at most"),
-        ((np.ones((0, 2)), ((0, 0), (1, 1))), "at least one"),
-        (([[1.0, 0]], ((0, 0), (1, 1))), r"from 1e-30 to 1e\+30.* got 0 at \(0, 1\); .* use RasterCost.from_costmap"),
+        (([1.0, 2], ((0, 0), (1, 1))), r"a raster of 2 axes, one per axis.* and at most 4, .* got shape \(2,\)"),
+        ((np.ones((1,) * 5), ((0,) * 5, (1,) * 5)), "at most 4"),
+        ((np.ones((0, 2)), ((0, 0), (1, 1))), "at least one cell"),
+        (
+            ([[1.0, 0]], ((0, 0), (1, 1))),
+            r"from 1e-30 to 1e\+30.* got 0 at \(0, 1\)\. .* use RasterCost.from_costmap",
+        ),
         (([[1.0], [-np.inf]], ((0, 0), (1, 1))), r"got -inf at \(1, 0\)"),
         (([[1e31]], ((0, 0), (1, 1))), "got 1e"),
         (([["a"]], ((0, 0), (1, 1))), "values must be factors on a raster of 2 axes, got"),

@@ -222,12 +222,12 @@ def test_blocks_may_come_as_lists_and_are_compared_by_value():
         ((((-1, 0), 1.0),), "each axis"),
         ((((0,), 0.0),), "weight of a block must be a positive finite"),
         ((((0,), np.inf),), "weight of a block must be a positive finite"),
-        ((((0.5,), 1.0),), "some integers"),
-        ((((), 1.0),), "some integers"),
-        ((((True,), 1.0),), "some integers"),
-        ((((0,), 1.0, 2.0),), "axes, some integers, and a weight"),
-        ((3,), "pairs of axes and a weight"),
-        (3, "pairs of axes and a weight"),
+        ((((0.5,), 1.0),), "one or more integer axes"),
+        ((((), 1.0),), "one or more integer axes"),
+        ((((True,), 1.0),), "one or more integer axes"),
+        ((((0,), 1.0, 2.0),), "pairs .axes, weight., such as"),
+        ((3,), "pairs .axes, weight., such as"),
+        (3, "pairs .axes, weight., such as"),
     ],
 )
 def test_other_blocks_are_refused(blocks, message):

@@ -233,7 +233,7 @@ def test_bounds_of_a_volume_hold_the_lengths_of_paths():
         (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
         (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
         (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
-        (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0, for a point, or at least"),
+        (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0 for a point, or at least"),
         (lambda: solve_eikonal(VoxelSpace(CHECKERS), (1.5, 0.5)), "must be a free configuration"),
     ],
 )
