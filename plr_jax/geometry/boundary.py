@@ -101,11 +101,13 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     # 1. Vertices as near as the tolerance to edges of which they are no ends.
     is_new_vertex, is_new_edge = np.ones(len(vertices), bool), np.ones(len(edges), bool)
     if known is not None:
-        for is_new, of_known in zip((is_new_vertex, is_new_edge), places_of(vertices, edges, known), strict=True):
+        for is_new, of_known in zip(
+            (is_new_vertex, is_new_edge), match_boundary(vertices, edges, known), strict=True
+        ):
             is_new[of_known[of_known >= 0]] = False
     new_edges, old_edges = np.flatnonzero(is_new_edge), np.flatnonzero(~is_new_edge)
-    of_new = _near(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
-    of_old = _near(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
+    of_new = _vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
+    of_old = _vertices_near_edges(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
     vertex, edge = np.concatenate([of_new, of_old], axis=1)
     # 2. Edges are cut at vertices on them, to a quarter of the tolerance. Others may not be even near.
     start, end = vertices[edges[edge]].transpose(1, 0, 2)
@@ -132,7 +134,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     return Boundary(vertices, edges, ends[: len(edges)])
 
 
-def places_of(
+def match_boundary(
     vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
     """Which vertices and edges those of a boundary are, to the bit; -1 for none."""
@@ -143,7 +145,7 @@ def places_of(
     return vertex, index_of(edges[:, 0] * size + edges[:, 1], wanted)
 
 
-def _near(
+def _vertices_near_edges(
     vertices: Float[np.ndarray, "vertices 2"],
     edges: Int[np.ndarray, "edges 2"],
     tolerance: float,
@@ -155,10 +157,12 @@ def _near(
     if not (len(some_vertices) and len(some_edges)):
         return none, none
     if len(some_edges) < len(edges) or len(some_vertices) < len(vertices):  # what is nowhere near is left out at once
-        some_vertices = some_vertices[_meet(vertices[some_vertices, None], vertices[edges[some_edges]], tolerance)]
+        some_vertices = some_vertices[
+            _boxes_meet(vertices[some_vertices, None], vertices[edges[some_edges]], tolerance)
+        ]
         if not len(some_vertices):
             return none, none
-        some_edges = some_edges[_meet(vertices[edges[some_edges]], vertices[some_vertices, None], tolerance)]
+        some_edges = some_edges[_boxes_meet(vertices[edges[some_edges]], vertices[some_vertices, None], tolerance)]
     lines: Any = shapely.linestrings(vertices[edges[some_edges]])
     points = shapely.points(vertices[some_vertices])
     vertex, edge = shapely.STRtree(lines).query(points, predicate="dwithin", distance=tolerance)
@@ -167,7 +171,7 @@ def _near(
     return vertex[apart], edge[apart]
 
 
-def _meet(
+def _boxes_meet(
     boxes: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
     """Whether boxes around points meet the one around all others."""
@@ -224,12 +228,12 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
         raise ValueError(f"{name}s must be rings (n, 2) or Shapely polygons in a list, got {shortened(shapes)}.")
-    return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_one_by_one(shapes)))
+    return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_flatten_collections(shapes)))
 
 
-def _one_by_one(shapes: Iterable[Any]) -> Iterator[Any]:
+def _flatten_collections(shapes: Iterable[Any]) -> Iterator[Any]:
     for shape in shapes:
-        yield from _one_by_one(shape.geoms) if isinstance(shape, GeometryCollection) else (shape,)
+        yield from _flatten_collections(shape.geoms) if isinstance(shape, GeometryCollection) else (shape,)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
@@ -406,7 +410,7 @@ class _Prepared(threading.local):
 _PREPARED = _Prepared()
 
 
-def prepared(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
+def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
     """An owner's geometry, prepared for many queries of this thread alone: GEOS may crash where two query one."""
     of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
@@ -431,7 +435,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
     """
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
     grid = grid_of(bounds)
-    region = _simplified(rounded(free, grid), 4 * grid)
+    region = _simplify(rounded(free, grid), 4 * grid)
     # Snapped coarser and coarser where that is not enough, until nothing is thinner than edges may be cut beside.
     coarser = 32 * grid
     while (boundary := ring_boundary(region, 8 * grid)) is None:
@@ -440,23 +444,23 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
                 f"Obstacles leave walls or gaps too thin to be told apart: make them thicker than "
                 f"{coarser:.1e} or leave them out; far from the origin, translate the workspace there first."
             )
-        region = _simplified(shapely.set_precision(region, coarser), 0.0)
+        region = _simplify(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2
     return Region(region, boundary, coarser == 32 * grid)
 
 
-def region_after(free: Any, bounds: Box, old: Boundary) -> Region:
+def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
     """The same of free space that had some boundary, and changed here and there: vertices are rounded one by one."""
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # as slivers become, which rounding leaves no area
         return region_of(free, bounds)
-    region = _simplified(rounded, 4 * grid)
+    region = _simplify(rounded, 4 * grid)
     boundary = ring_boundary(region, 8 * grid, old)
     return region_of(free, bounds) if boundary is None else Region(region, boundary, True)
 
 
-def _simplified(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:
+def _simplify(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:
     parts = polygons_of(geometry)
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")

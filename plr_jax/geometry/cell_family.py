@@ -47,7 +47,7 @@ class SharedSources:
         self._sorted, self._place = np.zeros(0, np.uint64), np.zeros(0, np.int64)
         self._sources: Sources | None = None
 
-    def numbers(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    def indices_of(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the number of each of some sources; new sources get new numbers, in the order in which they come."""
         steps = np.rint(distance / self._step).astype(np.int64)
         hashes = hash64(kind) + hash64(steps ^ np.int64(1 << 62))
@@ -105,9 +105,9 @@ class FamilySources(CellSources):
         Parts are distinct if the hashes of their boxes differ, or their pieces or pairs.
         """
         inherited, changed = self.cut(parent, axis, is_upper, lo, hi)
-        first, index = _distinct(inherited.keys(cell))
+        first, index = _first_occurrences(inherited.keys(cell))
         changed = changed[np.isin(inherited.cell, first)]
-        settled = inherited.of_cells(first).with_free_boxes(changed, lo[first], hi[first]).counted_from_least()
+        settled = inherited.of_cells(first).merge_free_boxes(changed, lo[first], hi[first]).relative_to_nearest()
         return settled, settled.keys(cell[first]), first, index
 
     def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
@@ -116,16 +116,18 @@ class FamilySources(CellSources):
         total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(hash64(pair), dtype=np.uint64)])
         return hash64(np.diff(total[self.first_pair[self.first_piece]])) + cell
 
-    def counted_from_least(self) -> "FamilySources":
+    def relative_to_nearest(self) -> "FamilySources":
         """Return the same with distances of sources beyond the least of their cell."""
-        named, distances = self.sight.named, self.sources.distances
+        source_table, distances = self.sight.source_table, self.sources.distances
         least = np.full(self.num_cells, np.inf)
         np.minimum.at(least, self.cell[self.piece], distances[self.source])
         least = np.where(np.isfinite(least), least, 0.0)
         source, best, distance = self.source.copy(), self.best.copy(), self.distance - least[self.cell]
         for column, beyond in ((source, least[self.cell[self.piece]]), (best, least[self.cell])):
             rows = np.flatnonzero(beyond > 0)
-            column[rows] = named.numbers(named.kind[column[rows]], distances[column[rows]] - beyond[rows])
+            column[rows] = source_table.indices_of(
+                source_table.kind[column[rows]], distances[column[rows]] - beyond[rows]
+            )
         return replace(self, source=source, best=best, distance=distance)
 
 
@@ -167,17 +169,17 @@ class SharedCells:
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
         """Return the distinct cells of all goals, their keys, and which one each goal's cells are, -1 for none."""
         cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
-        named = SharedSources(table.points, len(cells.sight.turns.points), self.step)
-        sight = replace(cells.sight, named=named, shadows=Shadows.of(table), has_goal=True)
+        source_table = SharedSources(table.points, len(cells.sight.turns.points), self.step)
+        sight = replace(cells.sight, source_table=source_table, shadows=Shadows.of(table), has_goal=True)
         # 1. All cells of all goals: pairs sorted by goal, piece and kind.
         of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight.shadows)
         order = np.lexsort((kind, piece, of_goal))
-        row, piece = _numbered((of_goal * len(cells.cell) + piece)[order])
+        row, piece = _group_sorted((of_goal * len(cells.cell) + piece)[order])
         number, row = np.divmod(row, len(cells.cell))
-        node, cell = _numbered(number * cells.num_cells + cells.cell[row])
+        node, cell = _group_sorted(number * cells.num_cells + cells.cell[row])
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
-        source = named.numbers(kind[order], distance[order] - least[cell[piece]])
+        source = source_table.indices_of(kind[order], distance[order] - least[cell[piece]])
         found = FamilySources(
             sight,
             len(node),
@@ -193,10 +195,10 @@ class SharedCells:
         )
         # 2. Those that differ by more than a constant.
         box = hash64(node % cells.num_cells)
-        first, index = _distinct(found.keys(box))
+        first, index = _first_occurrences(found.keys(box))
         by_center = by_center[order][np.isin(cell[piece], first)]
         found = found.of_cells(first)
-        found = found.undominated(np.ones(len(found.cell), bool), by_center).counted_from_least()
+        found = found.prune_dominated(np.ones(len(found.cell), bool), by_center).relative_to_nearest()
         result = np.full(len(goals) * cells.num_cells, -1)
         result[node] = np.where(np.diff(found.first_piece)[index] > 0, index, -1)
         return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
@@ -234,13 +236,13 @@ class SharedCells:
         return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
 
 
-def _numbered(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+def _group_sorted(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
     """Return the distinct ones of ascending numbers, and which of them each number is."""
     new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
     return keys[new], np.cumsum(new) - 1
 
 
-def _distinct(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+def _first_occurrences(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
     """Return where each distinct key stands first, ascending, and which of these each key is."""
     _, first, index = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)

@@ -32,9 +32,9 @@ from plr_jax.geometry.convex_pieces import (
     contain,
     cut_parts,
     difference_of_cones,
-    following,
     highest,
     lowest,
+    next_corner,
 )
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
 from plr_jax.geometry.triangulation import Triangulation
@@ -126,7 +126,7 @@ class Shadows:
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx
-        next_along, next_beside = following(along), following(beside)
+        next_along, next_beside = next_corner(along), next_corner(beside)
         crosses = (beside >= 0) != (next_beside >= 0)
         share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
         at = along + share * (next_along - along)
@@ -179,14 +179,14 @@ class Sight:
     """What decides which sources a piece may use.
 
     Attributes:
-        named: The sources: a :class:`SightedSources`, or what has its attributes.
+        source_table: The sources: a :class:`SightedSources`, or what has its attributes.
         shadows: What the viewpoints see.
         turns: The turns.
         triangulation: Of free space.
         has_goal: Whether the distances of the sources to a goal are known.
     """
 
-    named: Any
+    source_table: Any
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -204,7 +204,7 @@ class Sight:
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> OfPieces:
         """Return whether a shortest path from some point of each piece may turn at its source, if seen from there."""
-        turn = self.named.turn[source]
+        turn = self.source_table.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
         for normal in self.turns.normal[:, turn]:
@@ -264,10 +264,10 @@ class CellSources:
             count, part = len(cell[chunk]), pieces[:, chunk]
             unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
             found = cls(sight, len(lo), cell[chunk], part, triangle[chunk], centers(part), *unknown)
-            chunks.append(found.settled(np.ones(count, bool)))
+            chunks.append(found.prune_sources(np.ones(count, bool)))
         found = chunks[0].append(*chunks[1:])
         found = replace(found, num_cells=len(lo), cell=found.cell % max(1, len(lo)))
-        return found.with_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
+        return found.merge_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
 
     @property
     def slack(self) -> float:
@@ -277,7 +277,7 @@ class CellSources:
     @property
     def sources(self) -> Sources:
         """All sources."""
-        return self.sight.named.sources
+        return self.sight.source_table.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Return whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
@@ -289,11 +289,11 @@ class CellSources:
 
     def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the viewpoint of each source. Of one goal viewpoints are numbered as sources."""
-        return self.sight.named.view[source]
+        return self.sight.source_table.view[source]
 
     def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the order of sources in which the first of equals is taken."""
-        return self.sight.named.kind[source]
+        return self.sight.source_table.kind[source]
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
         """Return some pieces, each a cell of its own."""
@@ -341,7 +341,7 @@ class CellSources:
     def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
         """Return parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
         part, is_cut = self.cut(parent, axis, is_upper, lo, hi)
-        return part.with_free_boxes(is_cut, lo, hi)
+        return part.merge_free_boxes(is_cut, lo, hi)
 
     def cut(
         self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
@@ -350,7 +350,7 @@ class CellSources:
         pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
         return replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
 
-    def with_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
+    def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
         """Make one piece of each box that no wall reaches into, and settle what has changed.
 
         Walls in a box are sides of the triangles that its pieces are parts of.
@@ -379,9 +379,9 @@ class CellSources:
             found = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
             found = replace(found, piece=owner[found.piece], by_all=found.by_all & ~is_merged[found.piece])
         kept = np.flatnonzero(stays)
-        return replace(found.of_pieces(kept), num_cells=len(lo)).settled((changed | is_merged)[kept])
+        return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
-    def settled(self, changed: OfPieces) -> Self:
+    def prune_sources(self, changed: OfPieces) -> Self:
         """Leave out sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
 
         If distances of sources are known, pieces from which no path leads to the goal are left out as well.
@@ -405,9 +405,9 @@ class CellSources:
             return replace(found, by_all=by_all).of_pairs(keep)
         # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
         keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
-        return replace(found, by_all=by_all).of_pairs(keep).undominated(changed, by_center[keep])
+        return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
-    def undominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
+    def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
         """Find the distances of the centers of changed pieces, and leave out pairs that another one beats everywhere.
 
         A center that no source is known to see keeps the bound of its distance. A source is also beaten where the way
@@ -463,8 +463,8 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
-    named = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
-    return Sight(named, Shadows.of(visibility.table), turns, triangulation, False)
+    source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
+    return Sight(source_table, Shadows.of(visibility.table), turns, triangulation, False)
 
 
 def corners_of_cells(

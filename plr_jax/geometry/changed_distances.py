@@ -36,7 +36,7 @@ class TriangleSources:
         """Some of them."""
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
-    def of(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
+    def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
         """Those of some triangles, in their order."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
@@ -71,7 +71,7 @@ class ChangedDistances:
     slack: float
 
 
-def are_met(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
+def hulls_meet_boxes(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
     """Whether the convex hulls of some points each meet a box: neither a side of it nor a line by two parts them."""
     met = np.zeros(len(hulls), bool)
     x, y = np.ascontiguousarray(hulls.transpose(2, 1, 0))  # NumPy is slow where the last axis is short

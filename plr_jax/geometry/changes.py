@@ -17,9 +17,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import ragged_indices, take_ragged
-from plr_jax.geometry.boundary import Boundary, places_of
-from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, joined_pairs
-from plr_jax.geometry.triangulation import Triangulation, after, triangulation_of
+from plr_jax.geometry.boundary import Boundary, match_boundary
+from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
+from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
@@ -46,7 +46,7 @@ class Change:
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
         """Compare two boundaries."""
-        return Change(old, new, *places_of(new.vertices, new.edges, old))
+        return Change(old, new, *match_boundary(new.vertices, new.edges, old))
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
@@ -101,7 +101,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     vertex = change.vertex[old.origin]
     rims = np.flatnonzero(~half_kept & (old.twin >= 0) & half_kept[old.twin])
     walls = np.flatnonzero(~has_triangle)
-    edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[after(rims)]], axis=1)])
+    edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[next_half_edge(rims)]], axis=1)])
     if (edges < 0).any():
         return None
     local, ends = np.unique(edges, return_inverse=True)
@@ -160,21 +160,23 @@ def changed_visibility(
     differs |= counts != np.append(old_counts, 0)[before]
     same = np.where(differs, -1, before)
     # 2. Corners that may see a change look anew, and the goal if it may.
-    before = np.where(np.append(_may_see(old.table, change), True)[same], -1, same)
-    goal_looks = bool(_may_see(of_goal[0], change)[0])
+    before = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
+    goal_looks = bool(_may_see_change(of_goal[0], change)[0])
     kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
     looking = views[looks]
     if goal_looks:
         points, owner = np.concatenate([looking.points, goal.points]), goal.owner + len(looks)
         looking = Viewpoints(points, np.append(looking.owner, owner), np.append(looking.edge, goal.edge))
     found, (view, vertex) = visibility_of(workspace.triangulation, looking)
-    table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
+    table = _splice(
+        [_ViewSelection(old.table, before[kept], kept), _ViewSelection(found, np.arange(len(looks)), looks)], change
+    )
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     goal_table, goal_row = (found, len(looks)) if goal_looks else (of_goal[0], 0)
     now = np.full(len(old.corners.points), -1)
     now[same[same >= 0]] = np.flatnonzero(same >= 0)
     goal_corners = seen[view == len(looks)] if goal_looks else now[of_goal[1]]
-    new = _spliced([_Views(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
+    new = _splice([_ViewSelection(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 3. Pairs of corners of which both stay are what they were; of the others one has looked anew.
     number = np.full(len(old.corners.points), -1)
     number[before[kept]] = kept
@@ -186,24 +188,24 @@ def changed_visibility(
     back = np.flatnonzero(before[seen] >= 0)
     back = back[table.sees(seen[back], corners.points[view[back]])]
     view, seen = np.append(view, seen[back]), np.append(seen, view[back])
-    edges = np.concatenate([edges, joined_pairs(corners, view, seen)])
+    edges = np.concatenate([edges, mutually_visible_pairs(corners, view, seen)])
     size = np.int64(max(1, len(corners.points)))
     keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
     return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
 
 
-def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
+def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
     """Which viewpoints name a changed edge, or may see one: not all walls that they see towards it are nearer."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
     for box in change.boxes(table.tolerance):
         rest = np.flatnonzero(~sees)
-        sees[rest[may_see(table, rest, box)]] = True
+        sees[rest[may_see_polygons(table, rest, box)]] = True
     return sees
 
 
-def may_see(
+def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
     """Whether viewpoints may see some of convex polygons: not all walls that they see towards these are nearer.
@@ -238,7 +240,7 @@ def may_see(
     return is_around
 
 
-class _Views(NamedTuple):
+class _ViewSelection(NamedTuple):
     """Some viewpoints of a table, and the place in another one that each comes to."""
 
     table: VisibilityTable
@@ -246,7 +248,7 @@ class _Views(NamedTuple):
     place: Int[np.ndarray, "views"]
 
 
-def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
+def _splice(parts: Sequence[_ViewSelection], change: Change) -> VisibilityTable:
     """Visibility polygons of some viewpoints of tables, of the old boundary or the new one, each at its new place."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)

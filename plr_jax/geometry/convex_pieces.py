@@ -25,7 +25,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     Pieces must reach above zero; what touches it alone becomes a piece without area.
     """
     inside = height >= 0
-    after = following(height)
+    after = next_corner(height)
     crosses = inside != (after >= 0)
     share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
     repeats = np.zeros(inside.shape, bool)
@@ -37,7 +37,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
     result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
-        met = along + share * (following(along) - along)
+        met = along + share * (next_corner(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
         clipped[row, place] = points[row, column]
         clipped[:] = np.take_along_axis(clipped, last, axis=1)
@@ -141,7 +141,7 @@ def clip_to_boxes(
     return pieces[:, some], box[some], rows[some]
 
 
-def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
+def next_corner(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
     """What belongs to the next corner."""
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)
 

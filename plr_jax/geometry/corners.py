@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
+from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import Places, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
@@ -102,10 +102,10 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
     table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     other = (seen >= 0) & (seen != view)
-    return CornerVisibility(corners, views, table, joined_pairs(corners, view[other], seen[other]))
+    return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[other], seen[other]))
 
 
-def joined_pairs(
+def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
     """Pairs of corners, each once, of which both see one another and a shortest path may turn at one."""
@@ -113,7 +113,7 @@ def joined_pairs(
     view, seen = view[tangent], seen[tangent]
     # Both must see one another: a corner where obstacles touch may be seen from sectors that it does not look into.
     size = np.int64(len(corners.points))
-    pair = _distinct(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
+    pair = _sorted_unique(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
     both = pair[1:][pair[1:] == pair[:-1]]
     return np.stack(np.divmod(both, size), axis=1)
 
@@ -125,7 +125,7 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
     return corner
 
 
-def _distinct(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
+def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
     """As ``np.unique``, which hashes integers: that takes longer where most are distinct."""
     keys = np.sort(keys)
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
@@ -255,7 +255,7 @@ class TurnRegions:
             rows = point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
             lengths, vertices = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
-            pair, length[rows] = first_visible_of_some(
+            pair, length[rows] = first_visible_ragged(
                 lengths, counts[part], lambda at, pair, rows=rows, vertices=vertices: sees(rows[at], vertices[pair])
             )
             vertex[rows] = np.append(vertices, -1)[pair]
@@ -272,7 +272,7 @@ def views_by_triangle(
     """Where the viewpoints of each triangle begin, and these, of pairs of both of which some are repeated."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
-    triangle, view = np.divmod(_distinct(triangle * np.int64(count) + view), count)
+    triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
     return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
 
 

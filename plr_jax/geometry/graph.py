@@ -144,7 +144,7 @@ def first_visible_in_parts(
     return found, shortest
 
 
-def first_visible_of_some(
+def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """The shortest visible way of each point, of different ways for each.

@@ -268,12 +268,12 @@ def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
     return shapely.linestrings(ends)
 
 
-def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     """The next half-edge around the same triangle."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
-def before(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     """The half-edge before it around the same triangle."""
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 

@@ -28,11 +28,11 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.
     doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
     if doubted.any():
         a, b, c, d = (np.broadcast_to(each, result.shape)[doubted] for each in (ux, vy, uy, vx))
-        result[doubted] += _lost(a, b) - _lost(c, d)
+        result[doubted] += _product_error(a, b) - _product_error(c, d)
     return result
 
 
-def _lost(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+def _product_error(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """What rounding takes from the product of two numbers."""
     high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
     low_a, low_b = a - high_a, b - high_b

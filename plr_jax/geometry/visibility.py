@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.geometry.boundary import Boundary, grid_at
-from plr_jax.geometry.triangulation import Triangulation, after, before
+from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
 
 # Triangular expansion: what viewpoints see, found by going from triangle to triangle inside their cones of sight.
@@ -160,7 +160,7 @@ def _expansion(
         # Of the next triangles, the corner ahead may be seen, and may part the cone.
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
-        right_exit, left_exit = after(entry), before(entry)
+        right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)
         ahead = triangulation.origin[left_exit]
         x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
         from_right, from_left = orientation(rx, ry, x, y), orientation(x, y, lx, ly)
@@ -190,14 +190,14 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     found = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
     at_vertex = views.at_vertex(triangulation.boundary)
-    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (after, before)]
+    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
     half_edge, view = half_edge[at_vertex], view[at_vertex]
     while len(view):  # from triangle to triangle around the vertex, to the wall at which the sector closes
-        found.append((view, after(half_edge)))
-        half_edge = triangulation.twin[before(half_edge)]
+        found.append((view, next_half_edge(half_edge)))
+        half_edge = triangulation.twin[previous_half_edge(half_edge)]
         half_edge, view = half_edge[half_edge >= 0], view[half_edge >= 0]
     view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*found, strict=True))
-    right, left = triangulation.origin[half_edge], triangulation.origin[after(half_edge)]
+    right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
     vertices, points = triangulation.boundary.vertices, views.points[view]
     return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
 

@@ -163,7 +163,7 @@ class VoxelGrid:
         """Corners, edges and so on in which voxels touch, by the axes across which they do."""
         found = []
         for num_across in range(2, self.dim + 1):
-            is_parted = parted_sets(num_across)
+            is_parted = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
                 around = np.zeros([n - (axis in across) for axis, n in enumerate(self.padded.shape)], np.uint16)
                 for bit, side in enumerate(product((0, 1), repeat=num_across)):
@@ -223,7 +223,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
     return live.reshape(flat)
 
 
-def parted_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
+def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
     """Which sets of the voxels around a point, by the bits of numbers, hold some without a way to one another."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1

@@ -32,8 +32,8 @@ from plr_jax.geometry.boundary import (
     grown_boundary,
     merge_vertices,
     polygons_of,
-    prepared,
-    region_after,
+    prepared_geometry,
+    region_after_change,
     region_of,
     rounding_of,
     triangulate,
@@ -218,12 +218,12 @@ class Workspace:
         def grow() -> Any:
             return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
 
-        return prepared(self, ("grown", tolerance), grow)
+        return prepared_geometry(self, ("grown", tolerance), grow)
 
     @property
     def walls(self) -> Any:
         """The boundary of free space as Shapely lines, prepared for many queries."""
-        return prepared(self, "walls", lambda: self.free_space.boundary)
+        return prepared_geometry(self, "walls", lambda: self.free_space.boundary)
 
     @property
     def edge_tree(self) -> shapely.STRtree:
@@ -313,7 +313,7 @@ class Workspace:
         # walls, and paths through contacts.
         kept = visible[moving]
         moving, segments = moving[kept], segments[kept]
-        own = prepared(self, "free", lambda: shapely.transform(self.free_space, np.copy))
+        own = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
         doubted = ~shapely.covers(own, segments)
         if len(contacts := self.boundary.contacts):
             points: Any = shapely.points(self.boundary.vertices[contacts])
@@ -383,7 +383,7 @@ class Workspace:
             free = shapely.union(free, opened)
         if added:
             free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
-        region = region_after(free, self.bounds, self.boundary)
+        region = region_after_change(free, self.bounds, self.boundary)
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:

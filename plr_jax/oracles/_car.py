@@ -44,7 +44,7 @@ class Word(NamedTuple):
         return reduce(np.add, map(np.abs, self.segments))
 
 
-def wrapped(angle: Batch) -> Batch:
+def wrap_angle(angle: Batch) -> Batch:
     """An angle as a turn of at most half a circle, to one side or the other."""
     return angle - 2 * np.pi * np.rint(angle * (0.5 / np.pi))
 
@@ -114,7 +114,7 @@ class _Car(ABC):
 
     @staticmethod
     @abstractmethod
-    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+    def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         """Words that begin with a turn to the left; of these and the mirrored ones the shortest is a shortest path.
 
         Args:
@@ -129,13 +129,13 @@ class _Car(ABC):
         dx, dy = ((x[:, axis] - self.goal[axis]) / self.radius for axis in range(2))
         along, across = -cosine * dx - sine * dy, cosine * dy - sine * dx
         # Of many turns the remainder is exact, wrapping is not.
-        heading = wrapped(np.fmod(self.goal[2] - x[:, 2], 2 * np.pi))
+        heading = wrap_angle(np.fmod(self.goal[2] - x[:, 2], 2 * np.pi))
         half = np.tan(heading / 2)
         sine_of_heading = 2 * half / (1 + half * half)
         versine = half * sine_of_heading
         for side in (1.0, -1.0):  # and those that begin with a turn to the right: where left is right
             y, sine = side * across, side * sine_of_heading
-            for letters, segments in self._spelled(
+            for letters, segments in self._canonical_words(
                 (along - sine, y - versine), (along + sine, y + versine), side * heading
             ):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
@@ -180,7 +180,7 @@ class ReedsShepp(_Car):
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
-    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+    def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         """The words of Reeds and Shepp, free of the rule in which gear a first or last turn is.
 
         Each is the shorter way around, in whichever gear: a path all the same, and one that the rule allows if it is
@@ -192,7 +192,7 @@ class ReedsShepp(_Car):
 
 def _word(letters: str, first: Batch, *middle_and_last: Batch | float) -> Word:
     *middle, last = middle_and_last
-    return Word(letters, (wrapped(first), *middle, wrapped(np.asarray(last))))
+    return Word(letters, (wrap_angle(first), *middle, wrap_angle(np.asarray(last))))
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
@@ -210,7 +210,7 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
     yield _word("LRL", angle + np.pi - half, -2 * half, rest - np.pi - half)
 
     tangent = np.sqrt(square - 4)  # of the two circles, from side to side
-    lean, straight = np.arctan(tangent / 2), _existing(tangent - 2)
+    lean, straight = np.arctan(tangent / 2), _nan_if_negative(tangent - 2)
     yield _word("LRSL", angle + lean, q, straight, rest + q - lean)
     yield _word("LRSL", angle + np.pi - lean, -q, -straight, rest + q + lean)
     yield _word("LSRL", angle + q - lean, straight, q, rest + lean)
@@ -241,18 +241,18 @@ def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
     yield _word("LRLR", angle - aside, turn, turn, rest - aside)
     yield _word("LRLR", angle + aside, -turn, -turn, rest + aside)
 
-    straight = _existing(square) / (distance + 2)  # distance - 2
+    straight = _nan_if_negative(square) / (distance + 2)  # distance - 2
     yield _word("LRSR", angle, q, straight, rest - q)
     yield _word("LRSR", angle, -q, -straight, rest + q)
     yield _word("LSLR", angle - q, straight, q, rest)
     yield _word("LSLR", angle + q, -straight, -q, rest)
 
-    straight = _existing(tangent - 4)
+    straight = _nan_if_negative(tangent - 4)
     yield _word("LRSLR", angle - q + lean, q, straight, q, rest - q + lean)
     yield _word("LRSLR", angle + q - lean, -q, -straight, -q, rest + q - lean)
 
 
-def _existing(length: Batch) -> Batch:
+def _nan_if_negative(length: Batch) -> Batch:
     """A length, NaN where it is negative."""
     return np.where(length >= 0, length, np.nan)
 
@@ -291,36 +291,36 @@ class Dubins(_Car):
         return (self._reflection(self.goal[2]),)
 
     @staticmethod
-    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+    def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         x, y = to_left
         distance = np.sqrt(x * x + y * y)
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any
-        yield Word("LSL", _turns_around(angle, distance, _forward(heading, _SLACK)))
+        yield Word("LSL", _lsl_segments(angle, distance, _forward_turn(heading, _SLACK)))
 
         # Half of the turn in the middle, of which the shorter one is never on a shortest path.
         half = np.pi - np.arcsin(distance / 4)
-        yield Word("LRL", (_forward(angle + half), 2 * half, _forward(heading - angle + half)))
+        yield Word("LRL", (_forward_turn(angle + half), 2 * half, _forward_turn(heading - angle + half)))
 
         x, y = to_right
         square = x * x + y * (y - 4)  # of the circles' distance, less 4
         tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
         angle = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)
-        yield Word("LSR", (_forward(angle), tangent, _forward(angle - heading)))
+        yield Word("LSR", (_forward_turn(angle), tangent, _forward_turn(angle - heading)))
 
 
-def _turns_around(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
+def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
     """Of LSL: the first turn, the straight line at an angle, and the last turn, which together make a turn.
 
     Where one of them lacks next to nothing of a circle it is none: other words do not help there, as where a line or
     a single turn leads to the goal.
     """
     slack = _SLACK / np.maximum(distance, _SLACK)
-    first = _forward(angle, slack)
+    first = _forward_turn(angle, slack)
     first = np.where(first <= turn + slack, np.minimum(first, turn), first)
     last = turn - first
     return first, distance, np.where(last < 0, last + _CIRCLE, last)
 
 
-def _forward(angle: Batch, slack: Batch | float = 0.0) -> Batch:
+def _forward_turn(angle: Batch, slack: Batch | float = 0.0) -> Batch:
     """An angle as a turn forward of less than a circle, or none if no more than the slack is wanting to one."""
     return np.maximum(angle - _CIRCLE * np.floor((angle + slack) / _CIRCLE), 0.0)

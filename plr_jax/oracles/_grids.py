@@ -15,7 +15,7 @@ from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, 
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import as_mask
-from plr_jax.geometry.voxels import VoxelGrid, parted_sets
+from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
 
 _DISTANCES = 2**22  # of cells, held at a time
 _OUTSIDE = -1
@@ -459,5 +459,5 @@ class GridField:
             for bit, corner in enumerate(product((0, 1), repeat=values.ndim)):
                 around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
-            parted = parted_sets(values.ndim)[sets]
+            parted = disconnected_sets(values.ndim)[sets]
         return values, is_known.astype(float), parted

@@ -25,7 +25,7 @@ _SLACK = 1e-9  # share of a length by which rounding may disturb an order
 
 
 @dataclass(frozen=True, eq=False)
-class _Lists:
+class _CornerLists:
     """Corners at which paths from each of some points may turn first.
 
     Args:
@@ -43,15 +43,15 @@ class _Lists:
         """The point of each entry."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
-    def of(self, points: Int[np.ndarray, "some"]) -> "_Lists":
+    def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
         """Those of some of the points, which may be repeated."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
-        return _Lists(first, self.corner[entry], self.leg[entry])
+        return _CornerLists(first, self.corner[entry], self.leg[entry])
 
-    def where(self, kept: Bool[np.ndarray, "entries"]) -> "_Lists":
+    def filter(self, kept: Bool[np.ndarray, "entries"]) -> "_CornerLists":
         """Those of the entries that are kept."""
-        return _Lists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
+        return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +74,15 @@ class PairDistances:
         return Graph(self.visibility.corners.points, self.visibility.edges)
 
     @cached_property
-    def _known(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
+    def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
         """Corners whose distances to all of them are known, where all are to be kept, and these."""
         return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
-    def _ways(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
+    def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
         """Distances from some corners to all of them."""
         if len(self._graph.vertices) > self._at_once:
             return csgraph.dijkstra(self._graph.adjacency, indices=corners)
-        is_known, table = self._known
+        is_known, table = self._distance_cache
         missing = corners[~is_known[corners]]
         table[missing] = csgraph.dijkstra(self._graph.adjacency, indices=missing)
         is_known[missing] = True
@@ -118,7 +118,7 @@ class PairDistances:
         hidden = np.flatnonzero(~seen)
         is_free = self.workspace.is_free_to_tolerance
         hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
-        hidden = hidden[np.argsort(_ordered(x[hidden]), kind="stable")]  # those at a time share points and corners
+        hidden = hidden[np.argsort(_as_complex(x[hidden]), kind="stable")]  # those at a time share points and corners
         counts = self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0]
         for part in parts(counts, _CANDIDATES):
             pairs = hidden[part]
@@ -128,22 +128,22 @@ class PairDistances:
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         """Lengths of the shortest ways that turn: a good one first, then all that may be shorter."""
         at_x, at_y = self._lists(x), self._lists(y)
-        least_x, least_y = self._at_least(at_x, y), self._at_least(at_y, x)
-        promising = least_x == _least(least_x, at_x.first)[at_x.point]
-        most = self._shortest(at_x.where(promising), at_y) * (1 + _SLACK)
-        return self._shortest(at_x.where(least_x <= most[at_x.point]), at_y.where(least_y <= most[at_y.point]))
+        least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
+        promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
+        most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
+        return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
-    def _at_least(self, lists: _Lists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
+    def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
         """No way by an entry's corner is shorter: it ends straight."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.leg + np.linalg.norm(to_other, axis=1)
 
-    def _shortest(self, at_x: _Lists, at_y: _Lists) -> Distances:
+    def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
         """Length of the shortest way of each pair by a corner of either list."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
-            between = self._ways(corners[begin : begin + at_once])
+            between = self._corner_distances(corners[begin : begin + at_once])
             of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))
             counts = np.diff(at_y.first)[at_x.point[of_these]]
             for part in parts(counts, _WAYS):
@@ -151,12 +151,12 @@ class PairDistances:
                 last, way = take_ragged(at_y.first, at_x.point[entries])
                 onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.leg[last]
                 first = np.append(0, np.cumsum(counts[part]))
-                length[entries] = _least(onward, first)
-        return _least(at_x.leg + length, at_x.first)
+                length[entries] = _run_minima(onward, first)
+        return _run_minima(at_x.leg + length, at_x.first)
 
-    def _lists(self, x: Float[np.ndarray, "n 2"]) -> _Lists:
+    def _lists(self, x: Float[np.ndarray, "n 2"]) -> _CornerLists:
         """The corners that each point sees, and that turn a path from it."""
-        _, index, number = np.unique(_ordered(x), return_index=True, return_inverse=True)
+        _, index, number = np.unique(_as_complex(x), return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._regions
         places = self.workspace.triangulation.place(points)
@@ -164,7 +164,7 @@ class PairDistances:
         kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
         kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
         leg = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
-        return _Lists(np.append(0, np.cumsum(counts)), corner, leg).where(kept).of(number)
+        return _CornerLists(np.append(0, np.cumsum(counts)), corner, leg).filter(kept).take(number)
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
         """How many corners see some of the triangles at each point, and the runs that these are, point by point."""
@@ -180,7 +180,7 @@ class PairDistances:
         return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
 
 
-def _least(
+def _run_minima(
     values: Float[np.ndarray, "entries"], first: Int[np.ndarray, "runs_plus_one"]
 ) -> Float[np.ndarray, "runs"]:
     """The least of each run, ``inf`` where it is empty."""
@@ -190,6 +190,6 @@ def _least(
     return result
 
 
-def _ordered(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
+def _as_complex(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
     """Points as numbers that are ordered by their first, then by their second coordinate."""
     return x[:, 0] + 1j * x[:, 1]

@@ -52,11 +52,11 @@ class Metric:
         return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
-        """A k-d tree of configurations, to be asked for :meth:`places`; its distances are those of the metric."""
+        """Build a k-d tree over :meth:`tree_coordinates`; its distances are those of the metric."""
         periods = np.where(self.domain.periodic, self.widths, 0.0) if self.domain.is_periodic else None
-        return KDTree(self.places(vertices), boxsize=periods)
+        return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
-    def places(self, x: Points) -> Points:
+    def tree_coordinates(self, x: Points) -> Points:
         """Coordinates in the k-d tree, where periodic axes run from 0 to below their weighted period."""
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
         around = np.where(around < self.widths, around, 0.0)  # rounding may close the circle
@@ -393,7 +393,11 @@ class Roadmap:
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance by way of the vertices seen between two radii, and the best of them, -1 where there are none."""
-        places, vertices, distances = self._metric.places(x), self.graph.vertices, np.append(self.distances, np.inf)
+        places, vertices, distances = (
+            self._metric.tree_coordinates(x),
+            self.graph.vertices,
+            np.append(self.distances, np.inf),
+        )
         count = self._tree.query_ball_point(places, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)

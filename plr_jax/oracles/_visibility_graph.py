@@ -14,8 +14,8 @@ from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
-from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
-from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see
+from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
+from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -413,7 +413,9 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     for oracle, pairs in ((before, pairs_before), (after, pairs_after)):
         rows = np.flatnonzero(pairs.is_doubted)
         points = oracle.sources.points[pairs.source[rows], None]
-        pairs.is_doubted[rows] = are_met(np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes)
+        pairs.is_doubted[rows] = hulls_meet_boxes(
+            np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes
+        )
         shift[pairs.triangle[pairs.is_doubted | np.isnan(pairs.change)]] = np.nan
         known = ~np.isnan(pairs.change)
         np.minimum.at(least, pairs.triangle[known], pairs.change[known])
@@ -425,7 +427,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     shift[np.abs(shift) <= rounding] = 0.0
     was_cut_off = np.arange(len(triangles)) < num_old
     was_cut_off[pairs_before.triangle] = False
-    pairs = pairs_before.of(np.isnan(shift)), pairs_after.of(np.isnan(shift))
+    pairs = pairs_before.of_triangles(np.isnan(shift)), pairs_after.of_triangles(np.isnan(shift))
     slack = 4 * before.workspace.tolerance
     return ChangedDistances(boxes, source, source_change, triangles, shift, was_cut_off, *pairs, rounding, slack)
 
@@ -435,12 +437,12 @@ def _triangle_sources(
 ) -> TriangleSources:
     """The pairs of an oracle; the goal is a source of each triangle of which it may see some, and has not changed."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
-    seen = np.flatnonzero(may_see(oracle._goal_table, np.zeros(len(triangles), int), triangles))
+    seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
     source = np.append(oracle._turns.vertex[regions.turn], 0 * seen)
     is_doubted = np.zeros(len(oracle.distances), bool)
     for first, table in ((0, oracle._goal_table), (1, oracle.family.table)):
         view = np.arange(len(table.points))
         for box in boxes:
-            is_doubted[first + view] |= may_see(table, view, box)
+            is_doubted[first + view] |= may_see_polygons(table, view, box)
     return TriangleSources(triangle, source, np.append(change[regions.turn], 0.0 * seen), is_doubted[source])

@@ -4,7 +4,7 @@ import shapely
 from piece_helpers import random_obstacle
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.changes import may_see
+from plr_jax.geometry.changes import may_see_polygons
 from plr_jax.geometry.corners import corner_visibility
 
 BOUNDS = ((0, 0), (8, 8))
@@ -103,7 +103,7 @@ def test_no_point_is_seen_of_polygons_that_may_not_be_seen(seed):
     view, lo = rng.integers(0, len(table.points), 4000), rng.uniform(0, 7.6, (4000, 2))
     size = rng.uniform(0.01, 0.4, (4000, 2))
     hulls = np.stack([lo + size * np.array(corner) for corner in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)
-    some = may_see(table, view, hulls)
+    some = may_see_polygons(table, view, hulls)
     assert 300 < some.sum() < 3700
     for _ in range(20):
         x = lo + size * rng.random((4000, 2))
