@@ -82,7 +82,7 @@ def test_obstacles_keep_their_numbers_and_come_back():
         ({"remove": [0.5]}, "integer"),
         ({"remove": [shapely.box(0, 0, 1, 2)]}, "or polygons that equal one"),
         ({"remove": [[(0, 0), (1, 0), (1, 2)]]}, "or polygons that equal one"),
-        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* One ring alone goes into a list"),
+        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* Put a single ring into a list"),
         ({"add": [[(0, 0), (1, 1)]]}, "Added obstacle 0 has 2 distinct vertices"),
         ({"add": [shapely.box(-1, -1, 9, 9)]}, "no free space"),
     ],
@@ -91,7 +91,7 @@ def test_changes_that_cannot_be_are_refused(change, message):
     workspace = Workspace(BOUNDS, [shapely.box(0, 0, 1, 1)])
     with pytest.raises(ValueError, match=message):
         workspace.with_obstacles(**change)
-    with pytest.raises(ValueError, match="not those that are gone"):
+    with pytest.raises(ValueError, match="not removed already"):
         workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
 
 
