@@ -79,8 +79,8 @@ class Boundary:
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
     """Return the boundary of a valid (Multi)Polygon, with edges split at the vertices that lie on them.
 
-    Vertices and edges of the ``known`` boundary are not compared with one another again. Returns None if a vertex is
-    within the tolerance of an edge without clearly lying on it, or if two edges coincide after the split.
+    It is None if a vertex is within the tolerance of an edge without clearly lying on it, or if two edges coincide
+    after the split. Vertices and edges of the ``known`` boundary are not compared with one another again.
     """
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
@@ -163,7 +163,7 @@ def _vertices_near_edges(
 def _boxes_meet(
     boxes: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether the bounding box of each group of points meets the bounding box of all others."""
+    """Return whether the bounding box of each group of points meets that of all others."""
     lo, hi = others.min(axis=(0, 1)) - tolerance, others.max(axis=(0, 1)) + tolerance
     return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
 
@@ -195,21 +195,16 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
     return regions[0]
 
 
-# Checks of polygons given by users, and geometric operations that Shapely lacks.
-
-
 LARGEST_COORDINATE = 1e100
 """Areas and products of two areas neither overflow below this coordinate nor underflow above its inverse."""
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Return valid polygons in the order given; collections are flattened, and a multipolygon counts as one.
+    """Return valid polygons in the order given; errors call them ``name`` and number.
 
-    Args:
-        name: Name of a polygon in error messages; its number is appended.
-        shapes: A Shapely polygon, linear ring, multipolygon or collection, or an iterable of these and of rings
-            ``(n, 2)``, closed or not.
+    ``shapes`` is a Shapely polygon, linear ring, multipolygon (kept as one) or collection (flattened), or an iterable
+    of these and of rings ``(n, 2)``, closed or not.
     """
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
@@ -223,11 +218,9 @@ def _flatten_collections(shapes: Iterable[Any]) -> Iterator[Any]:
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Return a polygon with finite coordinates and positive area, or an empty one; raise ``ValueError`` if invalid.
+    """Return a valid polygon of a ring ``(n, 2)``, closed or not, or of a Shapely polygon or linear ring.
 
-    Args:
-        name: Name of the polygon in error messages.
-        ring: A ring ``(n, 2)``, closed or not, or a Shapely polygon, multipolygon or linear ring.
+    It has finite coordinates and positive area, or is an empty Shapely polygon. Errors call it ``name``.
     """
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
@@ -386,7 +379,7 @@ _PREPARED = _Prepared()
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return a cached geometry prepared by GEOS, one per thread since GEOS may crash if threads share it."""
+    """Return a cached geometry, prepared by GEOS, one per thread, since GEOS may crash if threads share it."""
     of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
@@ -403,10 +396,7 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    """Round, normalize and simplify free space; walls and gaps thinner than 8 grid spacings vanish.
-
-    ``rounded`` moves the vertices of a geometry to multiples of a number. Raises ``ValueError`` if nothing is free.
-    """
+    """Round free space to the grid, by ``rounded``, and simplify it; raise ``ValueError`` if nothing is free."""
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
     region = _simplify(rounded(free, grid), 4 * grid)
@@ -415,8 +405,8 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
     while (boundary := ring_boundary(region, 8 * grid)) is None:
         if coarser > 256 * grid:
             raise ValueError(
-                f"Obstacles leave walls or gaps that are too thin: make them thicker than {coarser:.1e} or leave them "
-                "out. If the workspace is far from the origin, translate it there first."
+                f"Obstacles leave walls or gaps that are too thin: make them thicker than {coarser:.1e} or leave "
+                "them out. If the workspace is far from the origin, translate it there first."
             )
         region = _simplify(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2

@@ -25,8 +25,8 @@ _TIE = 1 - 2.0**-40  # factor that keeps rounding from moving a point that is ex
 class Box:
     """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
 
-    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*.
-    Both ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
+    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
+    ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
 
     Args:
         lo: Lower corner, ``(dim,)``, finite.
@@ -34,8 +34,7 @@ class Box:
         periodic: One bool per axis: whether it is periodic. None: no axis is.
 
     Raises:
-        ValueError: If the corners are not finite vectors of equal length, a width is not positive, or ``periodic`` is
-            not one bool per axis.
+        ValueError: If an argument has another form, or a width is not positive.
     """
 
     lo: Float[np.ndarray, "dim"]
@@ -108,10 +107,7 @@ class Box:
         return np.maximum(rests, np.float32(0))
 
     def settled(self, x: ArrayLike) -> ArrayLike:
-        """Move 32-bit points ``(..., dim)`` that only rounding put outside the box onto its faces.
-
-        Other points and inputs are returned unchanged.
-        """
+        """Move 32-bit points ``(..., dim)`` that only rounding put outside the box onto its faces; keep others."""
         is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
         if not is_plain or np.shape(x)[-1:] != (self.dim,):
             return x
@@ -123,16 +119,9 @@ class Box:
         return Box(self.lo + by, self.hi + by, self.periodic)
 
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether points lie in the closed box.
+        """Return whether points ``(n, dim)`` lie in the closed box.
 
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            True inside and on the boundary; False for NaN. Along periodic axes every finite coordinate is inside.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+        NaN never does; every finite coordinate along a periodic axis does.
         """
         x = as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
@@ -149,9 +138,6 @@ class Box:
         Returns:
             The points, in double precision. Coordinates that already lie in ``[lo, hi)``, coordinates along other
             axes, infinity and NaN are unchanged. A moved coordinate within rounding of the seam becomes ``lo``.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):
@@ -167,14 +153,9 @@ class Box:
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move points by whole periods to their images nearest to a reference; points within half a period stay.
+        """Move points by whole periods to their images nearest to reference points, all finite and ``(..., dim)``.
 
-        Args:
-            x: Points, ``(..., dim)``, finite.
-            reference: Reference points, finite, of a shape that broadcasts with ``x``.
-
-        Raises:
-            ValueError: If the last axis of either is not ``dim`` long.
+        The shapes must broadcast. Points within half a period of the reference do not move.
         """
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
@@ -183,15 +164,7 @@ class Box:
         return x - self.width * np.where(self.periodic, turns, 0.0)
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Return ``a - b``, the short way around periodic axes: there it is at most half a period either way.
-
-        Args:
-            a: Points, ``(..., dim)``, finite.
-            b: Points, finite, of a shape that broadcasts with ``a``.
-
-        Raises:
-            ValueError: If the last axis of either is not ``dim`` long.
-        """
+        """Return ``a - b`` for finite points ``(..., dim)``, the short way around periodic axes."""
         return self.image_near(a, b) - np.asarray(b, np.float64)
 
     def _points(self, name: str, value: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
@@ -208,9 +181,6 @@ class Box:
 
         Returns:
             The centers ``(rows, columns, 2)``, row 0 at the lowest ``y``; at least one row and one column.
-
-        Raises:
-            ValueError: If the box is not 2-D, or the resolution is not an integer of at least 1.
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
@@ -250,11 +220,7 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """Return the slice with fixed coordinates ``at``, a mapping of axes to coordinates; None for a 2-D box.
-
-        Raises:
-            ValueError: If ``at`` does not leave exactly two axes, or a coordinate is not finite or outside the box.
-        """
+        """Return the slice with fixed coordinates ``at``, a mapping of axes to coordinates; None for a 2-D box."""
         at = {} if at is None else at
         if not isinstance(at, Mapping) or not set(at) <= set(range(domain.dim)):
             raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {shortened(at)}.")

@@ -32,13 +32,8 @@ class SharedSources:
 
     Which source of a piece is best, and by how much, depends only on differences of their distances. Behind a corner
     these are equal for all goals that are reached through it. So distances are counted from the nearest source of
-    each cell, and each pair of a kind and such a distance is stored once. A *kind* is a corner and the side on which
-    paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
-
-    Args:
-        points: The viewpoints: the corners, then the goals.
-        num_turns: Twice the number of corners; smaller kinds belong to corners.
-        step: Distances are rounded to multiples of it, so that rounding errors do not tell them apart.
+    each cell, in multiples of ``step``, and each pair of a kind and such a distance is stored once. A *kind* is a
+    corner and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
     """
 
     def __init__(self, points: Float[np.ndarray, "views 2"], num_turns: int, step: float) -> None:
@@ -136,12 +131,9 @@ class FamilySources(CellSources):
 class SharedCells:
     """Boxes of a workspace with what is the same for all goals: free convex pieces, and the corners that see them.
 
-    Attributes:
-        cells: The boxes; their sources are the turns of :func:`turns_by_side`.
-        radius: Largest distance from the center of each piece to a point of it.
-        length: Distance from the corner of each pair to the center of its piece.
-        by_center: Whether the center sees the corner of each pair.
-        step: Resolution of relative distances.
+    ``radius`` is the largest distance from the center of each piece to a point of it. For each pair of a piece and a
+    turn of :func:`turns_by_side`, ``length`` is the distance from the center to the corner, and ``by_center`` says
+    whether the center sees the corner.
     """
 
     corners: CornerVisibility

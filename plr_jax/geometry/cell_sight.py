@@ -53,11 +53,8 @@ SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.nda
 class Shadows:
     """The shadows around viewpoints, sorted by viewpoint and direction.
 
-    Attributes:
-        key: Pseudo-angle of each shadow from the viewpoint's cut, plus 4 times the index of the viewpoint.
-        unit: Unit vector along the shadow.
-        start: Distance from the viewpoint at which the shadow starts.
-        end: Distance at which it ends.
+    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index;
+    ``unit`` is the direction as a unit vector, and ``start`` and ``end`` are distances from the viewpoint.
     """
 
     table: VisibilityTable
@@ -155,10 +152,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class SightedSources:
-    """Sources, the viewpoint and the turn of each (-1 for a goal, where paths end), and a rank to break ties.
-
-    Of equally good sources of a cell, the one of smallest ``kind`` is used; kinds within a cell are distinct.
-    """
+    """Sources, and the viewpoint and the turn of each; -1 for a goal. Ties go to the smallest ``kind``."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]
@@ -371,8 +365,8 @@ class CellSources:
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
         found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-        # 2. Test which pairs may matter, and whether the center or all of the piece sees the source. Pairs that are not
-        #    tested stay and count as visible from the center.
+        # 2. Test which pairs may matter, and whether the center or all of the piece sees the source. Pairs that are
+        #    not tested stay and count as visible from the center.
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
         keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
@@ -405,7 +399,7 @@ class CellSources:
             length[order],
             source[order],
         )
-        # 2. Compare other sources with the best one if all of the piece sees it, else with the path through the center.
+        # 2. Compare other sources with the best one if all of the piece sees it, else with paths through the center.
         by_best = np.append(self.by_all, False)[best_pair]
         several = np.bincount(self.piece, minlength=len(changed)) > 1
         rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])

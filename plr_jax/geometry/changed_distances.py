@@ -20,10 +20,8 @@ Corners = Float[np.ndarray, "4 2"]
 class TriangleSources:
     """Pairs of a triangle and a source that may see a part of it.
 
-    Attributes:
-        source: The source, by its index before or after the change.
-        change: New minus old distance of the source; NaN if it is not the same source.
-        is_doubted: Whether the source may see a changed wall.
+    ``change`` is the new minus the old distance of the source, NaN if it is not the same source; ``is_doubted`` says
+    whether the source may see a changed wall.
     """
 
     triangle: Int[np.ndarray, "pairs"]

@@ -201,10 +201,7 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether each viewpoint may see a convex polygon; it may not if every wall in its direction is closer.
-
-    ``hull`` has the corners of one polygon for all viewpoints, or of one for each.
-    """
+    """Return whether each viewpoint may see a convex polygon: not if every wall in its direction is closer."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]

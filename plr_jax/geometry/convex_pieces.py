@@ -18,11 +18,8 @@ ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clippi
 
 
 def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
-    """Return the part of each piece where a linear function, given at its corners, is at least 0.
-
-    The function must be positive somewhere in each piece.
-    """
-    inside = height >= 0
+    """Return the part of each piece where a linear function, given at the corners, is at least 0."""
+    inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
     crosses = inside != (after >= 0)
     share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
@@ -95,16 +92,7 @@ def cut_parts(
 ) -> tuple[
     Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
 ]:
-    """Cut the pieces of cells to parts of the cells: boxes, each cut from a cell along one axis.
-
-    Args:
-        pieces: Pieces, sorted by cell.
-        first_piece: First piece of each cell, then the number of pieces.
-        parent: The cell of each part.
-        axis: The axis across which the cell is cut.
-        is_upper: Whether the part is the upper one.
-        lo: Lower corners of the parts.
-        hi: Upper corners of the parts.
+    """Cut the pieces of cells to parts of the cells: boxes, each cut from its ``parent`` cell across one axis.
 
     Returns:
         The pieces, sorted by part, possibly some of area 0; the part of each; its original piece; whether it was cut.
@@ -171,10 +159,7 @@ Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest value of the first cone minus the second over each piece.
-
-    The error is that of double precision, about 1e-15 of the coordinates.
-    """
+    """Return the smallest and largest value of the first cone minus the second over each piece, up to rounding."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -186,7 +171,6 @@ def difference_of_cones(
 
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest difference of the distances to two points, over each piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)

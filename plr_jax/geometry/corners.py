@@ -75,8 +75,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 class CornerVisibility:
     """The corners of a workspace, the same as viewpoints, their visibility polygons, and the visibility graph.
 
-    ``edges`` lists pairs of corners that see one another once, except lines that are tangent at neither end: a
-    shortest path would turn at neither.
+    ``edges`` lists pairs of corners that see one another, except lines that are tangent at neither end.
     """
 
     corners: ReflexCorners
@@ -134,7 +133,6 @@ class TurnPoints:
 
     Attributes:
         vertex: Indices of the corners, where the goal is vertex 0.
-        distance: Distances of the corners to the goal.
         normal: Normals of the two lines through each corner; zero where any point is possible.
         slack: How far behind the lines a point may lie.
     """
@@ -201,12 +199,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """For each triangle of free space, the turn points that see a part of it inside their cones.
-
-    Attributes:
-        first: First entry of each triangle, then the number of entries.
-        turn: Turn points, triangle by triangle.
-    """
+    """Turn points that see a part of triangle ``t`` inside their cones: ``turn[first[t] : first[t + 1]]``."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -218,10 +211,7 @@ class TurnRegions:
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Return the first vertex of the shortest path from each point, and its length; -1 and ``inf`` without one.
 
-        Args:
-            x: Points of free space, ``(n, 2)``.
-            places: The same points, located. At a vertex, where many triangles meet, all turn points are tried.
-            sees: Visibility test of points and vertices, by index.
+        ``places`` are the same points, located. At a vertex, where many triangles meet, all turn points are tried.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
@@ -256,11 +246,7 @@ def views_by_triangle(
 def triangles_at(
     triangulation: Triangulation, places: Places
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return the one or two triangles of each point that is not at a vertex.
-
-    Returns:
-        Indices of these points, the first entry of each and the number of entries, and triangles.
-    """
+    """Return the points that are not at vertices, and the one or two triangles of each, with offsets."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

@@ -20,10 +20,7 @@ _CHUNK = 1 << 18  # lengths computed at a time
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points. Edges are listed once, in either direction; ends may coincide (length 0).
-
-    ``measure`` gives the lengths of edges from their ends; None: Euclidean.
-    """
+    """An undirected graph of points; each edge is listed once, and ``measure`` gives its length, if not Euclidean."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]
@@ -135,12 +132,10 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the best visible candidate of points with a list each, as an entry or -1, and its length or ``inf``.
+    """Return the best visible candidate of each point, as an index of ``lengths`` (-1: none), and its length.
 
-    Args:
-        lengths: Path length through each entry of all lists, point by point; modified in place.
-        counts: Number of entries of each point.
-        sees: Visibility test of points and entries.
+    ``lengths`` lists the path lengths through each point's candidates, point by point, and is modified in place;
+    ``counts`` are the numbers of candidates. ``sees`` tests indices of points and of ``lengths``.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

@@ -17,8 +17,8 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 # Tracing: the outline of the free pixels as closed rings of corners.
 #
-# Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, blocked
-# pixels 8-connected. Rings have free space on their left, and everything outside the grid is blocked. Horizontal and
+# Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, others
+# 8-connected. Rings have free space on their left, and everything outside the grid is blocked. Horizontal and
 # vertical runs alternate along a ring, so every vertex is a corner.
 
 
@@ -28,11 +28,9 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Closed rings of corners ``(x, y)``, one after another, each listing its first corner once.
+    """Closed rings of corners ``(x, y)``: ``points[start[r] : start[r + 1]]``, each listing its first corner once.
 
-    Attributes:
-        start: Index of the first corner of each ring, then the number of corners.
-        is_contact: Whether each corner is a point in which free pixels touch; two rings or one ring twice pass there.
+    ``is_contact`` marks corners in which free pixels touch; there two rings meet, or one ring twice.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -208,7 +206,6 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
 
 
 def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """Return the first and last station of each link."""
     kept = np.flatnonzero(is_kept)
     joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
     return kept[:-1][joined], kept[1:][joined]
@@ -354,7 +351,6 @@ def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
 
 
 def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:
-    """Label connected components of pixels from 1; 0 for other pixels."""
     import scipy.ndimage  # slow to import, and most workspaces do not need it
 
     found: Any = scipy.ndimage.label(pixels, structure)

@@ -21,12 +21,10 @@ from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """A uniform grid for point location: each cell lists the triangles that meet it.
+    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
 
-    Attributes:
-        first: First entry of each cell in row-major order, then the number of entries.
-        triangle: Triangles of each cell.
-        lines: For each side of a triangle, its inward unit normal and the normal's product with a point of the side.
+    ``lines`` holds, for each side of a triangle, its inward unit normal and the normal's product with a point of the
+    side.
     """
 
     lo: Float[np.ndarray, "2"]
@@ -299,7 +297,6 @@ def _half_edges(triangles: Int[np.ndarray, "triangles 3"]) -> Int[np.ndarray, "h
 def _crossed(
     triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"], num_vertices: int
 ) -> Int[np.ndarray, "crossed 2"]:
-    """Return the edges that are not edges of any triangle."""
     keys = _keys(_half_edges(triangles), num_vertices)
     return edges[index_of(keys, _keys(edges, num_vertices)) < 0]
 

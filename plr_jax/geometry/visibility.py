@@ -35,10 +35,8 @@ Vectors: TypeAlias = Float[np.ndarray, "views 2"]
 class Viewpoints:
     """Points of the grid, and the sectors they look into; a point without sectors looks all around.
 
-    Attributes:
-        owner: The point of each sector.
-        edge: The boundary edge at which each sector opens, counterclockwise: the point is its first vertex or inside
-            it.
+    Sector ``s`` belongs to point ``owner[s]`` and opens at the boundary edge ``edge[s]``, counterclockwise. The point
+    is the first vertex of that edge or lies in its interior.
     """
 
     points: Float[np.ndarray, "views 2"]
@@ -111,11 +109,8 @@ def triangles_within(
 ) -> Int[np.ndarray, "2 visits"]:
     """Return pairs of a viewpoint and a triangle of which it sees a part inside a cone, some of them repeated.
 
-    Args:
-        triangulation: The triangulation of the region.
-        views: The viewpoints.
-        right: Unit vector along the right bound of each viewpoint's cone; zero: all that the viewpoint looks into.
-        left: Unit vector along the left bound, at most half a turn counterclockwise from the right one.
+    ``right`` and ``left`` are unit vectors along the bounds of each viewpoint's cone, at most half a turn apart, or
+    zero for all that the viewpoint looks into.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -178,7 +173,6 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the cones that leave the triangles at the viewpoints."""
     around = np.flatnonzero(views.looks_around)
     triangle, _ = triangulation.locate(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]
@@ -297,7 +291,7 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 def visibility_of(
     triangulation: Triangulation, views: Viewpoints
 ) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
-    """Return the visibility polygons of viewpoints, and (view, vertex) pairs that see one another, some repeated."""
+    """Return the visibility polygons of viewpoints, and pairs (view, visible vertex), some repeated."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):
@@ -321,8 +315,8 @@ def _look_around(
         seen.append(new_seen)
     columns = zip(*((of.view, of.half_edge, of.vertex, of.right, of.left) for of in ended), strict=True)
     cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
-    # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its first
-    #    sector, or the middle of its widest cone if it has no sector or the gap is narrow.
+    # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
+    #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
     closing = views.closes(boundary)
     opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
     order = np.lexsort((opens, views.owner))

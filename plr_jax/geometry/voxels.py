@@ -36,14 +36,7 @@ class VoxelGrid:
     def of(
         cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = range(1, _MOST_AXES + 1)
     ) -> "VoxelGrid":
-        """Check arguments of users and return the grid; raise ``ValueError`` if they are invalid.
-
-        Args:
-            free: Booleans: whether each voxel is free.
-            bounds: The box that they fill, or its corners; None: voxels of side 1, the first with its lower corner at
-                0.
-            axes: Allowed numbers of axes.
-        """
+        """Check arguments of users and return the grid; ``bounds`` of None mean voxels of side 1 from 0 on."""
         voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])

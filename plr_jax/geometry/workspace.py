@@ -69,7 +69,6 @@ class Workspace:
         region: For internal use: the free space, if it is known; bounds and obstacles are then not checked.
 
     Attributes:
-        bounds: The region's Box.
         obstacles: The obstacles as Shapely polygons, in the order given. If free space was given, and after
             ``inflate``: the connected parts of the bounds that are not free.
         free_space: The free space as a valid, normalized Shapely (Multi)Polygon without collinear vertices.
@@ -186,11 +185,8 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """Distance from free space up to which a point counts as free.
-
-        It is 1e-9 of the longer side of the bounds or 1e-12 of their largest coordinate, whichever is more.
-        """
-        return 1e3 * rounding_of(self.bounds)
+        """Distance from free space up to which a point counts as free: 1e-9 of the longer side of the bounds."""
+        return 1e3 * rounding_of(self.bounds)  # more far from the origin, up to 1e-12 of the largest coordinate
 
     @cached_property
     def triangulation(self) -> Triangulation:
@@ -207,7 +203,6 @@ class Workspace:
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
-        """Return free space grown by a tolerance."""
 
         def grow() -> Any:
             return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
@@ -237,9 +232,6 @@ class Workspace:
         Returns:
             True in free space and on walls, to ``tolerance``; False outside the bounds and for points that are not
             finite. A 32-bit point that only rounding put outside the bounds counts as inside, as in queries of PLRs.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -257,9 +249,6 @@ class Workspace:
         Returns:
             Distances in workspace units, ``(n,)``: positive in free space, zero on walls, negative in obstacles and
             outside the bounds, NaN for points that are not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
@@ -287,9 +276,6 @@ class Workspace:
 
         Returns:
             True if a free path stays within ``tolerance`` of the segment; False if an end is not finite.
-
-        Raises:
-            ValueError: If the shapes are not ``(n, 2)`` or differ, or the tolerance is negative or not finite.
         """
         a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
@@ -374,7 +360,6 @@ class Workspace:
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
-        """Return the numbers of obstacles to remove, or raise ``ValueError``."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")
@@ -402,9 +387,6 @@ class Workspace:
 
         Returns:
             Free points, ``(n, 2)``.
-
-        Raises:
-            ValueError: If ``n`` or the seed is not an integer of at least 0.
         """
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)

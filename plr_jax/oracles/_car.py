@@ -73,9 +73,6 @@ class _Car(ABC):
 
         Returns:
             Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = as_points("x", x, 3)
         lengths = np.empty(len(x))
@@ -117,11 +114,8 @@ class _Car(ABC):
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         """Yield words that start with a left turn; one of them, or of their mirror images, is a shortest path.
 
-        Args:
-            to_left: The vector from the left circle at the beginning to the left circle at the end.
-            to_right: The vector from the left circle at the beginning to the right circle at the end, plus
-                ``(0, 2)``.
-            heading: The heading at the end.
+        ``to_left`` and ``to_right`` lead from the left circle at the beginning to the left and right circle at the
+        end, with 2 added to the ``y`` of ``to_right``; ``heading`` is that at the end.
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:

@@ -31,7 +31,6 @@ class Euclidean:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.goal.size
 
     @property
@@ -47,9 +46,6 @@ class Euclidean:
 
         Returns:
             Distances, ``(n,)``; ``inf`` for points with a coordinate that is not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         distance = np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
         return np.where(np.isnan(distance), np.inf, distance)
@@ -80,8 +76,8 @@ class NearestGoal:
         fns = tuple(distance_fns) if isinstance(distance_fns, list | tuple) else ()
         if not fns or not all(isinstance(fn, DimensionedFn) for fn in fns) or len({fn.dim for fn in fns}) > 1:
             raise ValueError(
-                "NearestGoal needs a list of distance functions, one per goal, such as VisibilityGraphs or PLRs of the "
-                f"same dim, got {shortened(distance_fns)}."
+                "NearestGoal needs a list of distance functions, one per goal, such as VisibilityGraphs or PLRs of "
+                f"the same dim, got {shortened(distance_fns)}."
             )
         set_fields(self, distance_fns=fns, dim=fns[0].dim)
 
@@ -98,9 +94,6 @@ class NearestGoal:
 
         Returns:
             Distances, ``(n,)``; ``inf`` where no goal can be reached.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         return self._distances(x).min(axis=0)
 
@@ -112,9 +105,6 @@ class NearestGoal:
 
         Returns:
             Indices, ``(n,)``: the first of equally near goals, -1 where no goal can be reached.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         distances = self._distances(x)
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)

@@ -31,10 +31,7 @@ class _CellGraph(ABC):
     dim: ClassVar[int]
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the same graph with another goal, sharing the steps.
-
-        Args:
-            goal: A point in a free cell, ``(dim,)``.
+        """Return the same graph with another goal in a free cell, ``(dim,)``, sharing the steps.
 
         Raises:
             ValueError: If the goal is not in a free cell.
@@ -56,7 +53,7 @@ class _CellGraph(ABC):
             points with a NaN.
 
         Raises:
-            ValueError: If ``x`` has another shape, or there is no goal.
+            ValueError: If there is no goal.
         """
         return self._to_goal[self._cells_of("x", x)]
 
@@ -161,9 +158,6 @@ class GridGraph(_CellGraph):
         Returns:
             Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, without a path, and for points with a
             NaN.
-
-        Raises:
-            ValueError: If a shape is not ``(n, 2)``, or the numbers of points differ.
         """
         ends = self._cells_of("x", x), self._cells_of("y", y)
         if len(ends[0]) != len(ends[1]):
@@ -330,12 +324,8 @@ class GridField:
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
-            reached.
+            reached. Kept as a read-only array, with ``inf`` for all of these.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
-
-    Attributes:
-        values: As given, ``inf`` where masked or NaN; read-only.
-        bounds: The box.
 
     Raises:
         ValueError: If ``values`` is empty or contains anything but numbers of at least 0, or ``bounds`` is not a box
@@ -369,7 +359,6 @@ class GridField:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.bounds.dim
 
     def __call__(self, x: ArrayLike) -> Distances:
@@ -381,9 +370,6 @@ class GridField:
         Returns:
             Distances, ``(n,)``; ``inf`` where the cell that contains the point has no value, outside the bounds, and
             for points with a NaN.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = as_points("x", self.bounds.settled(x), self.dim)
         distances = np.full(len(x), np.inf)
@@ -395,11 +381,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Interpolate at points of the box, also in cells without a value.
+        """Interpolate also in cells without a value, and return whether the cell of each point has a value.
 
-        Returns:
-            Distances, ``inf`` where no cell around a point has a value; and whether the cell that contains the point
-            has one.
+        Points must lie in the box. Distances are ``inf`` where no cell around the point has a value.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -419,8 +403,8 @@ class GridField:
     ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
         """Values (0 if unknown), whether they are known, and boxes between centers that must not be interpolated.
 
-        Values are padded by a cell. In these boxes, cells with a value touch at an edge or a corner only, so that a
-        wall is between them. None if there is no such box.
+        Values are padded by a cell. In these boxes (None: no box), cells with a value touch at an edge or a corner
+        only.
         """
         is_known = np.isfinite(self.values)
         values = np.where(is_known, self.values, 0.0)

@@ -35,7 +35,6 @@ class _CornerLists:
 
     @cached_property
     def point(self) -> Int[np.ndarray, "entries"]:
-        """The point of each entry."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
@@ -80,7 +79,6 @@ class PairDistances:
 
     @property
     def _at_once(self) -> int:
-        """Number of corners to process at a time."""
         return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
 
     @cached_property
@@ -177,5 +175,4 @@ def _run_minima(
 
 
 def _as_complex(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
-    """Return points as complex numbers, which are ordered by ``x``, then by ``y``."""
     return x[:, 0] + 1j * x[:, 1]

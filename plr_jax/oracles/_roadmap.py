@@ -135,10 +135,7 @@ def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
 def checked_is_visible(
     metric: Metric, is_free: IsFree, is_visible: IsVisible | None, resolution: float | None
 ) -> IsVisible:
-    """Wrap the user's test of motions, checking its answers, or return one that samples motions at a resolution.
-
-    Around periodic axes, a motion goes to the image of the end that is nearest to the start.
-    """
+    """Wrap the user's test of motions, checking its answers, or return one that samples motions at a resolution."""
     if is_visible is None and resolution is not None:
         return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
     if is_visible is None or resolution is not None:
@@ -202,9 +199,6 @@ class Roadmap:
             None: 1 each.
 
     Attributes:
-        domain: The box of configurations.
-        is_free: The collision test, False outside the domain.
-        is_visible: The test of motions.
         radius: Connection radius, in weighted units.
         graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
         distances: Distance of each vertex to the goal, ``inf`` if the roadmap does not connect them.
@@ -277,12 +271,9 @@ class Roadmap:
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
-        """Return the roadmap of the same samples for another goal, testing only the goal's edges.
+        """Return the roadmap of the same samples for another free goal ``(dim,)``, testing only the goal's edges.
 
         The result equals a new construction with this goal and the same seed.
-
-        Args:
-            goal: A free configuration, ``(dim,)``.
 
         Raises:
             ValueError: If the goal is not free.
@@ -311,16 +302,11 @@ class Roadmap:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.domain.dim
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of a file that stores the roadmap: float64 vertices, int32 edges, float64 lengths.
-
-        This suffices to search for any goal. Distances, the k-d tree and the adjacency matrix are not counted, since
-        they follow from it.
-        """
+        """Bytes of vertices (float64), edges (int32) and lengths (float64), which suffice to search for any goal."""
         return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
@@ -334,9 +320,6 @@ class Roadmap:
         Returns:
             Distances ``(n,)``, in weighted units of the domain. ``inf`` for points outside the domain, with a NaN, or
             not free; for points that see no vertex; and if no visible vertex is connected to the goal.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
 
@@ -350,9 +333,6 @@ class Roadmap:
             Vertices of the path, ``(m, dim)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is
             the goal, none if the distance is ``inf``. Along periodic axes they are wrapped, and the path goes the
             short way.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
         distance, first = self._first_vertices(x)

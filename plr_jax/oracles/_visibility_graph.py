@@ -102,10 +102,7 @@ class VisibilityGraph:
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
-        """Return the oracle of the same workspace for another goal, sharing corners and what they see.
-
-        Args:
-            goal: The goal, ``(2,)``, in closed free space.
+        """Return the oracle of the same workspace for another goal ``(2,)``, sharing corners and what they see.
 
         Raises:
             ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
@@ -174,23 +171,15 @@ class VisibilityGraph:
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return the pieces of free space in a box from which the goal can be reached, with their sources.
-
-        Args:
-            domain: The box, as one cell that can be cut further; it may extend beyond the workspace.
-        """
+        """Return the free pieces of a box, as one cell, from which the goal can be reached, with their sources."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return the pieces of free space in several boxes, each a cell, with their sources."""
+        """Return the free pieces of several boxes, each a cell, with their sources; see :meth:`cell_sources`."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
-        """Return how distances have changed since another oracle of the same goal.
-
-        Raises:
-            ValueError: If ``before`` is not a VisibilityGraph, or has another goal.
-        """
+        """Return how distances differ from those of another oracle of the same goal (else ``ValueError``)."""
         if not isinstance(before, VisibilityGraph):
             raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
         if (self.goal != before.goal).any():
@@ -206,14 +195,14 @@ class VisibilityGraph:
     def shared_cells(
         self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
     ) -> SharedCells:
-        """Return what all oracles of the family share of some boxes: pieces of free space, and corners that see them."""
+        """Return what all oracles of the family share of some boxes: free pieces, and corners that see them."""
         return SharedCells.of(self._corners, self.workspace.triangulation, domain, lo, hi)
 
     @staticmethod
     def family_sources(
         shared: SharedCells, fns: Sequence["VisibilityGraph"]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
-        """Return the distinct sources of boxes for several oracles, their keys, and each oracle's boxes among these."""
+        """Return the distinct sources of boxes for several oracles, their keys, and their index by oracle and box."""
         goals = []
         for fn in fns:
             corner, turns = fn._turns.vertex - 1, fn._turns
@@ -231,9 +220,6 @@ class VisibilityGraph:
         Returns:
             Distances in workspace units, ``(n,)``: ``inf`` in an obstacle, outside the bounds, where the goal cannot
             be reached, and for points that are not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         return self._first_turns(self._points("x", x))[0]
 
@@ -254,9 +240,6 @@ class VisibilityGraph:
         Returns:
             Distances in workspace units, ``(n,)``, bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a
             path, or if a point is not free or not finite.
-
-        Raises:
-            ValueError: If a shape is not ``(n, 2)``, or the numbers of points differ.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
@@ -269,9 +252,6 @@ class VisibilityGraph:
         Returns:
             Vertices of the path, ``(m, 2)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is the
             goal, none if the distance is ``inf``. Corners that the path only grazes may be among them.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = as_point("The start", self.workspace.bounds.settled(x), 2)
         distance, turn = self._first_turns(x[None])
@@ -288,9 +268,6 @@ class VisibilityGraph:
         Returns:
             Unit vectors, ``(n, 2)``: zero within the workspace's tolerance of the goal, NaN where the distance is
             ``inf``. If several paths are shortest, the direction of one of them.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         x = self._points("x", x)
         distance, turn = self._first_turns(x)
@@ -310,7 +287,7 @@ class VisibilityGraph:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return the distance and the first vertex of each path: 0 (the goal) if it is straight or there is no path."""
+        """Return the distance of each point and the first vertex of its path; 0 (the goal) without a turn."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self._corners.table.sees
