@@ -130,14 +130,10 @@ class Box:
         return np.all(inside, axis=1)
 
     def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move coordinates along periodic axes by whole periods into ``[lo, hi)``.
+        """Move coordinates along periodic axes by whole periods into ``[lo, hi)``, in double precision.
 
-        Args:
-            x: Points, ``(..., dim)``.
-
-        Returns:
-            The points, in double precision. Coordinates that already lie in ``[lo, hi)``, coordinates along other
-            axes, infinity and NaN are unchanged. A moved coordinate within rounding of the seam becomes ``lo``.
+        Other axes of the points ``(..., dim)``, infinity, and NaN stay. A moved coordinate within rounding of the
+        seam becomes ``lo``.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):

@@ -131,9 +131,10 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two turns per corner, ``2 * corner + side``, that hold for any path onward.
+    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend.
 
-    Points may use a turn if the line from them to the corner has both walls of the corner on one side.
+    They hold for any path onward: a point may use one if both walls of the corner lie on one side of the line
+    between.
     """
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
@@ -198,21 +199,18 @@ class Sight:
 class CellSources:
     """The free convex pieces of cells, and the sources that some point of each piece may go to first.
 
-    Pieces are sorted by cell, pairs of a piece and a source by piece. If the distances of sources are known, the
-    distance of any point of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its sources
-    ``s``. It is at most the minimum over the sources that all of the piece sees. Both bounds hold to within
+    Pieces are sorted by ``cell``, pairs of a ``piece`` and a ``source`` by piece. If the distances of sources are
+    known, the distance of any point of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
+    sources ``s``. It is at most the minimum over the sources that all of the piece sees. Both bounds hold to within
     :attr:`slack`. Pieces without a path to the goal are left out, so that each piece has a source.
 
     Attributes:
-        cell: The cell of each piece.
         triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
         center: A point inside each piece.
         distance: Distance of each center to the goal, or an upper bound if no source is known to see the center;
             ``inf`` if it was not computed.
         best: The source that the shortest path from each center goes to first, or one near it; 0 if not computed.
-        piece: The piece of each pair.
-        source: The source of each pair.
-        by_all: Whether every point of the piece sees the source.
+        by_all: Whether every point of the pair's piece sees its source.
         is_family: Whether equal cells of several goals are stored once.
     """
 

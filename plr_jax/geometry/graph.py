@@ -84,8 +84,8 @@ def first_visible(
             leads nowhere.
         sees: Visibility test.
         count: Number of candidates to find for each point.
-        at_once: Tests per point in the first round, at least ``count``, and half their growth factor per round; use 1
-            if tests are expensive.
+        at_once: Tests per point in the first round (at least ``count``); each round has ``2 * at_once`` times more.
+            Use 1 if tests are expensive.
 
     Returns:
         The candidates, best first, -1 where a point sees fewer; and their lengths, ``inf`` there.

@@ -59,7 +59,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     x, y = np.repeat(x, twice), np.repeat(y, twice)
     # In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs; in column order, of vertical runs.
     along_x = np.arange(len(x)) ^ 1
-    # At a contact, a ring turns around its free pixel: a run that arrives from the left goes down if that is below.
+    # A ring turns around its free pixel: a run that arrives from the left goes down if the pixel is below, else up.
     goes_down = padded[y, x]
     columns = np.lexsort((is_second == goes_down, y, x))
     along_y = np.empty_like(columns)

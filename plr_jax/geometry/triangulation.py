@@ -105,7 +105,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """A grid of about as many cells as triangles; cells are grown by the tolerance."""
+        """A point locator, a grid of about as many cells as triangles; cells are grown by the tolerance."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))

@@ -13,7 +13,7 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
-_SPLIT = 2.0**27 + 1
+_SPLIT = 2.0**27 + 1  # Dekker's constant, which splits a double into two halves of 26 bits
 _DOUBT = 2.0**-50  # relative rounding error of a difference of two products, with a margin
 
 

@@ -210,7 +210,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return whether the free voxels around a point are disconnected, for each set of them as bits of its index."""
+    """Return, for each set of voxels around a point (bits of its index), whether faces do not connect it."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

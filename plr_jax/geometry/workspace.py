@@ -185,8 +185,8 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """Distance from free space up to which a point counts as free: 1e-9 of the longer side of the bounds."""
-        return 1e3 * rounding_of(self.bounds)  # more far from the origin, up to 1e-12 of the largest coordinate
+        """Largest distance of free points from free space: 1e-9 of the longer side, or more far from the origin."""
+        return 1e3 * rounding_of(self.bounds)  # at least 1e-12 of the largest coordinate
 
     @cached_property
     def triangulation(self) -> Triangulation:

@@ -31,9 +31,9 @@ _MIRRORED = str.maketrans("LR", "RL")
 
 
 class Word(NamedTuple):
-    """Paths of one type to many poses: turns (``L``, ``R``) and straight lines (``S``), and their lengths.
+    """Paths of one type to many poses: letters ``L``, ``R`` (turns) and ``S`` (straight), and signed lengths.
 
-    Lengths are negative where the car reverses, and NaN where no path of this type leads to the pose.
+    A length is negative where the car reverses, and NaN where no path of this type leads to the pose.
     """
 
     letters: str
@@ -93,8 +93,8 @@ class _Car(ABC):
             x: A pose ``(x, y, theta)``, ``(3,)``, finite.
 
         Returns:
-            Segments in order: a letter ``"L"`` (left turn), ``"R"`` (right turn) or ``"S"`` (straight), and a length
-                in workspace units, negative where the car reverses. The list is empty if ``x`` is the goal.
+            Pairs, in order, of a letter, ``"L"`` (left turn), ``"R"`` (right turn) or ``"S"`` (straight), and a
+            length in workspace units, negative where the car reverses. The list is empty if ``x`` is the goal.
 
         Raises:
             ValueError: If ``x`` is not a finite pose, or 1e154 turning radii or more away.
@@ -210,13 +210,11 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words that end with a right turn; ``(x, y - 2)`` leads from the first left circle to the last right one.
-
-    Angles are those of the normal of that vector, whose direction is exact where both circles touch at the goal.
-    """
+    """Yield words that end with a right turn; ``(x, y - 2)`` leads from the first left to the last right circle."""
     q, square = _QUARTER, x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
+    # Use angles of the vector's normal: its direction is exact where both circles touch at the goal.
     distance, tangent = np.sqrt(4 + square), np.sqrt(square)
     angle, lean = np.arctan2(x, 2 - y), np.arctan(tangent / 2)
     rest = angle - heading
@@ -269,8 +267,8 @@ class Dubins(_Car):
         ValueError: If the goal is not three finite numbers, or the radius is not positive and finite.
 
     References:
-        Dubins, "On curves of minimal length with a constraint on average curvature, and with prescribed initial and
-        terminal positions and tangents", American Journal of Mathematics 79, 1957.
+        Dubins, "On curves of minimal length with a constraint on average curvature", American J. of Mathematics 79,
+        1957.
     """
 
     @property

@@ -55,9 +55,9 @@ class Euclidean:
 class NearestGoal:
     """Distance to the nearest of several goals, such as docks, and the index of that goal.
 
-    It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs few more bytes
-    than that of one goal, but cannot be certified. Inside ``jit``, ``stack(plrs)(np.arange(n)[:, None], x)`` gives
-    the distances to all goals; take their minimum.
+    It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs only a few
+    more bytes per additional goal, but cannot be certified. Inside ``jit``, ``stack(plrs)(np.arange(n)[:, None], x)``
+    gives the distances to all goals; take their minimum.
 
     Args:
         distance_fns: One distance function per goal, all of the same dimension. To share preprocessing, use
@@ -65,8 +65,7 @@ class NearestGoal:
             work too.
 
     Raises:
-        ValueError: If the list is empty, contains anything but distance functions with ``dim``, or the dimensions
-            differ.
+        ValueError: If the list is empty, contains anything but distance functions with ``dim``, or dimensions differ.
     """
 
     distance_fns: tuple[DistanceFn, ...]
@@ -83,7 +82,7 @@ class NearestGoal:
 
     @property
     def is_lower_bound(self) -> bool:
-        """Whether the distance is never above the true one, since this holds for all goals."""
+        """Whether the distance is nowhere above the true one, which is so if it holds for all goals."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Distances:

@@ -110,7 +110,7 @@ class PairDistances:
         return distance
 
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
-        """Return lengths of shortest paths with turns: first of a good path, then of all that may be shorter."""
+        """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
         at_x, at_y = self._lists(x), self._lists(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
         promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
@@ -118,12 +118,12 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
-        """Return a lower bound of the path length through each corner, which continues straight from it."""
+        """Return lower bounds of path lengths through each corner: straight to it, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.leg + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return the length of the shortest path of each pair through one corner of either list."""
+        """Return the length of the shortest path of each pair through one corner of each of its lists."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):

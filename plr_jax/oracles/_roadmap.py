@@ -255,17 +255,12 @@ class Roadmap:
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
-        """Build the roadmap of a point robot in a workspace, with exact edge tests.
+        """Build the roadmap of a point robot in a workspace, whose bounds are the domain, with exact edge tests.
 
-        Args:
-            workspace: The workspace; its bounds are the domain.
-            goal: A free point, ``(2,)``.
-            num_samples: Number of free points to draw, at least 1.
-            seed: Seed of the samples.
+        The other arguments are those of the class.
 
         Raises:
-            ValueError: If the goal is not free, ``num_samples`` is less than 1, or less than 1 in 10,000 of the
-                bounds' area is free.
+            ValueError: If the goal is not free, or less than 1 in 10,000 of the bounds' area is free.
         """
         require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)

@@ -49,7 +49,6 @@ class VisibilityGraph:
         goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
 
     Attributes:
-        workspace, goal: As given.
         distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
 
     Raises:
