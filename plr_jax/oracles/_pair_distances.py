@@ -118,7 +118,7 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
-        """Return lower bounds of path lengths through each corner: straight to it, then straight to the other point."""
+        """Return lower bounds of path lengths through corners: straight to each, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.leg + np.linalg.norm(to_other, axis=1)
 

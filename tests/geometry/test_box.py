@@ -46,7 +46,7 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
     ("ask", "message"),
     [
         (lambda: Box((0, 0), (1, 0)), "positive width along every axis.*axis 1"),
-        (lambda: Box((0, 0), (1, 1, 1)), "one length"),
+        (lambda: Box((0, 0), (1, 1, 1)), "equal length"),
         (lambda: Box((0, np.nan), (1, 1)), "Box lo must have finite coordinates"),
         (lambda: Box((0, 0), (np.inf, 1)), "Box hi must have finite coordinates"),
         (lambda: Box(0.0, 1.0), r"Box lo must be one point of shape \(dim,\), got shape \(\)"),

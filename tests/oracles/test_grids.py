@@ -217,7 +217,7 @@ def test_grids_are_kept_as_they_were():
         (lambda: GridGraph(DOOR, connectivity=6), "connectivity must be 4 or 8, got 6"),
         (lambda: GridGraph(DOOR, (2, 0)), "The goal must be in a free cell"),
         (lambda: GridGraph(DOOR, (5, 0)), "The goal must be in a free cell"),
-        (lambda: GridGraph(DOOR)(np.zeros((1, 2))), "no goal: use"),
+        (lambda: GridGraph(DOOR)(np.zeros((1, 2))), "must have a goal: use"),
         (lambda: GridGraph(DOOR, (0, 0))(np.zeros((1, 3))), r"x must have shape \(n, 2\)"),
         (lambda: GridGraph(DOOR).between(np.zeros((1, 2)), np.zeros((2, 2))), "equally many points, got 1 and 2"),
         (lambda: VoxelGraph(CUBE.astype(int), (0, 0, 0)), "booleans of 3 axes.*got int64"),
