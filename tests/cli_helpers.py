@@ -1,4 +1,4 @@
-"""Commands of the command line, run in this process."""
+"""Run commands of the command line in this process."""
 
 from typer.testing import CliRunner
 
@@ -12,14 +12,14 @@ def run(*arguments, **kwargs):
 
 
 def done(*arguments, **kwargs):
-    """What a command prints that is to end well and without a warning."""
+    """Return the output of a command that must succeed without a warning."""
     result = run(*arguments, **kwargs)
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     return result.stdout
 
 
 def mistake(*arguments, **kwargs):
-    """What a command says about a mistake; fails unless that is one line with exit code 2."""
+    """Return the error of a command, which must be one line with exit code 2."""
     result = run(*arguments, **kwargs)
     assert result.exit_code == 2, result.output
     assert result.stdout == ""

@@ -1,4 +1,4 @@
-"""What the tests of the eikonal solver share: boxes as obstacles in any dimension, random meshes, hard points."""
+"""Helpers for tests of the eikonal solver: boxes as obstacles in any dimension, random meshes, hard points."""
 
 import numpy as np
 import shapely
@@ -15,7 +15,7 @@ ROOM = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2.3, 0, 2.4, 1.3)])
 
 
 class BoxSpace:
-    """Axis-aligned boxes as obstacles, open, in any dimension; none crosses the seam of a periodic axis."""
+    """A space with open axis-aligned boxes as obstacles, none of which crosses the seam of a periodic axis."""
 
     def __init__(self, domain, *obstacles, blocks=None):
         self.domain = domain
@@ -39,11 +39,11 @@ class BoxSpace:
         return np.where(held, CellState.BLOCKED, state).astype(np.int8)
 
     def straight(self, q, goal):
-        """What motions straight to a goal cost."""
+        """Return the cost of straight motions to a goal."""
         return self.motion_cost.lengths(q, np.broadcast_to(goal, q.shape), self.domain)
 
     def are_free(self, q0, q1):
-        """Slab by slab."""
+        """Test motions by the slab method."""
         q0 = self.domain.wrapped(q0)
         change = self.domain.difference(q1, q0)
         still = change[:, None] == 0
@@ -56,7 +56,7 @@ class BoxSpace:
 
 
 def random_mesh(seed, dim, *, rounds=3, blocked=0.3, periodic=None):
-    """Cells halved along all axes or along one where chance says so, of random states; not balanced."""
+    """Return a mesh of cells in random states, split at random along all axes or one; it is not balanced."""
     rng = np.random.default_rng(seed)
     cells = Cells.root(dim)
     for _ in range(2 if periodic is not None else 1):
@@ -83,9 +83,9 @@ def halved(cells):
 
 
 def hard_points(plr, workspace, n, seed=0):
-    """Free points: uniform ones, on walls, at vertices, and on faces of leaves or so close that 32 bits see none.
+    """Return free points of hard kinds: on walls, at vertices, and on or very near faces of leaves; and uniform ones.
 
-    So many of them, so that queries are compiled once.
+    Their number is fixed, so that queries are compiled once.
     """
     rng = np.random.default_rng(seed)
     lo, hi = plr.leaf_boxes
@@ -103,7 +103,7 @@ def hard_points(plr, workspace, n, seed=0):
 
 
 def check_between(plr, x, distance, rounding=1e-9):
-    """Fails unless the bounds hold finite distances; these, lower and upper bounds."""
+    """Check that the bounds contain finite distances; return these, lower and upper bounds."""
     lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
     known = np.isfinite(distance)
     assert known.any()
@@ -113,14 +113,14 @@ def check_between(plr, x, distance, rounding=1e-9):
 
 
 def check_bounds(plr, workspace, goal, seed=0):
-    """Fails unless the bounds hold the exact distance at hard points; distances, lower and upper bounds."""
+    """Check that the bounds contain the exact distance at hard points; return distances, lower and upper bounds."""
     x = hard_points(plr, workspace, 4000, seed)
     distance = VisibilityGraph(workspace, goal)(x)
-    return check_between(plr, x, distance, 1e-12 * (1 + distance))  # what the oracle rounds
+    return check_between(plr, x, distance, 1e-12 * (1 + distance))  # rounding error of the oracle
 
 
 class TwoGrounds:
-    """Factors 1 and ``dear``, the interface at a level along the last axis."""
+    """Cost factors 1 and ``dear`` below and above a level along the last axis."""
 
     def __init__(self, level, dear):
         self.level, self.dear = level, dear

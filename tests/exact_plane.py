@@ -1,4 +1,4 @@
-"""Shortest paths among polygons by brute force, in exact arithmetic and independent of the package."""
+"""Shortest paths among polygons by brute force, in exact arithmetic, independent of the package."""
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
@@ -13,13 +13,12 @@ Point: TypeAlias = tuple[int, int, int]
 """A point ``(x / w, y / w)`` as integers ``(x, y, w)`` with ``w > 0``: floats are dyadic rationals."""
 Vector: TypeAlias = tuple[int, int]
 Sector: TypeAlias = tuple[Vector, Vector] | None
-"""Directions that a closed sector opens and closes with, counterclockwise; None: all directions."""
+"""Directions at which a closed sector opens and closes, counterclockwise; None: all directions."""
 
-_SURE = 1e-13  # of the square of the largest coordinate: an orientation in floats that is larger has the right sign
+_SURE = 1e-13  # float orientations have the right sign above this share of the largest coordinate squared
 
 
 def as_exact(point: Sequence[Any]) -> Point:
-    """A point of floats, integers or fractions."""
     x, y = (Fraction(each.item() if isinstance(each, np.generic) else each) for each in point)
     w = x.denominator * y.denominator
     return x.numerator * y.denominator, y.numerator * x.denominator, w
@@ -34,24 +33,23 @@ def _cross(u: Vector, v: Vector) -> int:
 
 
 def _direction(p: Point, q: Point) -> Vector:
-    """From one point to another one, times some positive number."""
+    """Return a positive multiple of the vector from ``p`` to ``q``."""
     return q[0] * p[2] - p[0] * q[2], q[1] * p[2] - p[1] * q[2]
 
 
 def _side(p: Point, q: Point, r: Point) -> int:
-    """1 if ``r`` is on the left of the line from ``p`` to ``q``, -1 on the right, 0 on the line."""
+    """Return 1 if ``r`` is on the left of the line from ``p`` to ``q``, -1 on the right, 0 on the line."""
     cross = _cross(_direction(p, q), _direction(p, r))
     return (cross > 0) - (cross < 0)
 
 
 def _is_between(p: Point, q: Point, r: Point) -> bool:
-    """Whether a point on the line through two others is inside of the segment between them."""
+    """Return whether ``r``, on the line through ``p`` and ``q``, lies strictly between them."""
     u, v = _direction(r, p), _direction(r, q)
     return u[0] * v[0] + u[1] * v[1] < 0
 
 
 def _is_in(sector: Sector, v: Vector) -> bool:
-    """Whether a direction lies in a closed sector."""
     if sector is None:
         return True
     opens, closes = sector
@@ -61,20 +59,20 @@ def _is_in(sector: Sector, v: Vector) -> bool:
 
 
 def _compare(u: Vector, v: Vector) -> int:
-    """Negative if ``u`` comes before ``v`` counterclockwise, from the positive x axis on."""
+    """Compare directions counterclockwise from the positive x axis on; negative if ``u`` comes first."""
     half = [w[1] < 0 or (w[1] == 0 and w[0] < 0) for w in (u, v)]
     return half[0] - half[1] or -_cross(u, v)
 
 
 class ExactPlane:
-    """A box with polygonal obstacles, of which all that is not inside of one, or of several together, is free.
+    """A box with polygonal obstacles; everything outside the interior of their union is free.
 
-    A path may slide along walls. Where obstacles touch in a point it may arrive and leave, but not pass between them:
-    what is free around each point is a set of sectors, and a path that comes in one goes on in the same one. So a
-    path is a chain of pairs of a point and a sector.
+    A path may slide along walls. It may end where obstacles touch in a point, but not pass between them. So the free
+    space around each point is a set of sectors, a path leaves a point in the sector in which it arrives, and a path
+    is a chain of (point, sector) pairs.
 
     Args:
-        bounds: Corners ``((x0, y0), (x1, y1))``, or all edges of free space ``(edges, 2, 2)`` with no more obstacles.
+        bounds: Corners ``((x0, y0), (x1, y1))``, or all edges of free space ``(edges, 2, 2)`` without obstacles.
         obstacles: Rings ``(n, 2)``, or Shapely polygons, holes allowed.
     """
 
@@ -100,7 +98,7 @@ class ExactPlane:
         self._links = self._links_between(self.vertices, self.vertices)
 
     def _is_solid(self, x: Point) -> bool:
-        """Whether a point on no edge is in an obstacle or outside of the box."""
+        """Return whether a point on no edge is in an obstacle or outside the box."""
         inside = []
         for edges in self.solids:
             crossings = 0
@@ -111,7 +109,7 @@ class ExactPlane:
         return not inside[0] or any(inside[1:])
 
     def sectors_at(self, x: Point) -> list[Sector]:
-        """The free sectors around a point: none in an obstacle or outside of the box."""
+        """Return the free sectors around a point; none in an obstacle or outside the box."""
         rays: list[Vector] = []
         side = self._sides(self._ends[:, 0], self._ends[:, 1], as_floats([x]), lambda e: (*self.edges[e], x))
         for a, b in (self.edges[e] for e in np.flatnonzero(side == 0)):
@@ -132,7 +130,7 @@ class ExactPlane:
         return list(free)
 
     def _just_beside(self, x: Point, d: Vector) -> Point:
-        """A point in a direction from another one, before all edges there."""
+        """Return a point in a direction from ``x``, before the first edge there."""
         nearest = Fraction(1)
         for a, b in self.edges:
             u, v = _direction(x, a), _direction(x, b)
@@ -147,7 +145,7 @@ class ExactPlane:
         return as_exact([Fraction(x[k], x[2]) + d[k] * nearest / 2 for k in (0, 1)])
 
     def _sides(self, p: np.ndarray, q: np.ndarray, r: np.ndarray, exact: Callable[..., Any]) -> np.ndarray:
-        """Sides of points ``r`` by lines from ``p`` to ``q``: in floats where these are sure, else of exact ones."""
+        """Return sides of points ``r`` of lines from ``p`` to ``q``, exactly computed where floats may be wrong."""
         u, v = q - p, r - p
         cross = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
         side = np.sign(cross).astype(int)
@@ -156,7 +154,7 @@ class ExactPlane:
         return side
 
     def _links_between(self, sources: list[Point], targets: list[Point]) -> list[tuple[Any, Any, float]]:
-        """Pairs of a point and a sector, joined by a segment in free space, and how long it is."""
+        """Return (point, sector) pairs that a segment in free space joins, and its length."""
         pairs = [(p, q) for p in sources for q in targets if p != q and self.sectors[p] and self.sectors[q]]
         ends, (a, b), links = as_floats(end for pair in pairs for end in pair), self._ends.transpose(1, 0, 2), []
         first, last = ends[::2, None], ends[1::2, None]
@@ -170,7 +168,7 @@ class ExactPlane:
                 for at, r in ((x, p), (y, q))
             )
             if (of_p * of_q < 0).any():
-                continue  # what it crosses is solid on one side
+                continue  # an edge that is crossed is solid on one side
             on_line = {self.edges[e][0] for e in np.flatnonzero(of_a == 0)} - {p, q}
             u, v = _direction(p, q), _direction(q, p)
             touched = [self.sectors[x] for x in on_line if _is_between(p, q, x)]
@@ -181,17 +179,17 @@ class ExactPlane:
         return links
 
     def sees(self, a: Sequence[Any], b: Sequence[Any]) -> bool:
-        """Whether the segment between two points is in free space, and passes between no obstacles that touch."""
+        """Return whether the segment between two points is free and does not pass between touching obstacles."""
         p, q = self._placed([a, b])
         return bool(self.sectors[p]) if p == q else bool(self._links_between([p], [q]))
 
     def distances(self, source: Sequence[Any], points: Iterable[Sequence[Any]]) -> np.ndarray:
-        """Lengths of the shortest paths from a point to others; ``inf`` where there is none."""
+        """Return lengths of shortest paths from a point to others; ``inf`` if there is none."""
         start, *ends = self._placed([source, *points])
         others = [x for x in dict.fromkeys(ends) if x not in self.vertices]
         links = self._links + self._links_between([start], [*self.vertices, *others])
         links += self._links_between(others, self.vertices)
-        # The path begins in any sector of its start.
+        # A path may begin in any sector of its start.
         links += [(None, (start, i), 0.0) for i in range(len(self.sectors[start]))]
         number = {node: i for i, node in enumerate(dict.fromkeys(node for link in links for node in link[:2]))}
         graph = np.full((len(number), len(number)), np.inf)
@@ -205,7 +203,7 @@ class ExactPlane:
         return np.array([min(each, default=np.inf) for each in reached])
 
     def near(self, x: Any, radius: float) -> list[tuple[Fraction, ...]]:
-        """The nearest point of each wall within a radius, and its ends: what may be across a wall or a contact."""
+        """Return the ends and nearest points of walls within a radius, which may lie across a wall or contact."""
         x, found = as_exact(x), []
         place = as_floats([x])[0]
         for (a, b), (start, end) in zip(self.edges, self._ends, strict=True):
@@ -218,7 +216,7 @@ class ExactPlane:
         return found
 
     def _placed(self, points: Iterable[Sequence[Any]]) -> list[Point]:
-        """Exact points, whose sectors are known from here on."""
+        """Return exact points, and store their sectors."""
         exact = [as_exact(point) for point in points]
         self.sectors |= {x: self.sectors_at(x) for x in exact if x not in self.sectors}
         return exact

@@ -1,4 +1,4 @@
-"""What the tests of grids share: grids drawn as text, all pairs of cells, and many small random grids as one."""
+"""Helpers for tests of grids: grids drawn as text, all pairs of cells, many small random grids in one."""
 
 import heapq
 import math
@@ -7,19 +7,19 @@ import numpy as np
 
 
 def drawn(*rows):
-    """Cells of a picture, free where there is a dot."""
+    """Return a grid drawn as text, with dots for free cells."""
     return np.array([[letter == "." for letter in row] for row in rows])
 
 
 def all_pairs(free):
-    """Every pair of a free cell and any cell, as points."""
+    """Return every pair of a free cell and any cell, as points."""
     cells = np.argwhere(np.ones_like(free))[:, ::-1].astype(float)
     starts = np.argwhere(free)[:, ::-1].astype(float)
     return np.repeat(starts, len(cells), axis=0), np.tile(cells, (len(starts), 1))
 
 
 def mosaic(seed, tiles, size):
-    """Random grids of some density each, side by side with walls between, ``tiles`` a row and a column of them."""
+    """Return ``tiles`` x ``tiles`` random grids of random density, side by side with walls between."""
     rng = np.random.default_rng(seed)
     free = np.zeros((tiles * (size + 1), tiles * (size + 1)), bool)
     for row, column in np.ndindex(tiles, tiles):
@@ -29,7 +29,7 @@ def mosaic(seed, tiles, size):
 
 
 def pairs_of_tiles(tiles, size):
-    """All pairs of cells that are of one grid of a mosaic."""
+    """Return all pairs of cells that lie in the same grid of a mosaic."""
     cells = np.argwhere(np.ones((size, size)))
     corners = np.argwhere(np.ones((tiles, tiles))) * (size + 1)
     x, y = np.repeat(cells, len(cells), axis=0), np.tile(cells, (len(cells), 1))
@@ -37,7 +37,7 @@ def pairs_of_tiles(tiles, size):
 
 
 def dijkstra(free, start, connectivity):
-    """Distance of every cell from one, by the book: a heap, and the legal steps of each cell."""
+    """Return distances of every cell from a start, by a textbook implementation."""
     distance = np.full(free.shape, np.inf)
     heap = [(0.0, start)] if free[start] else []
     while heap:
@@ -53,7 +53,7 @@ def dijkstra(free, start, connectivity):
 
 
 def legal(free, row, column, down, right, connectivity):
-    """Whether a step leads to a free cell and cuts no corner."""
+    """Return whether a step leads to a free cell and cuts no corner."""
     if down and right and connectivity == 4:
         return False
     cells = [(row + down, column + right), (row + down, column), (row, column + right)]

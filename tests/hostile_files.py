@@ -1,12 +1,13 @@
-"""Damaged and malicious files: every reader refuses them by name, at once, and in little memory, or reads them.
+"""Damaged and malicious files: every reader reads them, or refuses them by name, quickly and in little memory.
 
-Valid files are mutated: bits flipped, bytes inserted, deleted and repeated, ends cut off, numbers replaced by extreme
-ones, lists by deep ones. A PLR file gets checksums that fit again, or its reader would look no further.
-A reader may read what comes of it, or raise a ``ValueError`` or an ``OSError`` with the file's name in it. It fails
-by any other exception, by more than a second of computing, and by a process that grows by more than 100 MB.
-Files that a reader failed at are kept.
+Valid files are mutated: bits are flipped, bytes inserted, deleted and repeated, ends cut off, numbers replaced by
+extreme ones and lists by deep ones. The checksums of PLR files are repaired, since their reader would stop at them.
 
-``python tests/hostile_files.py`` reads 20,000 files a reader, for hours.
+A reader may succeed, or raise a ``ValueError`` or an ``OSError`` that names the file. It fails if it raises another
+exception, computes for more than a second, or makes the process grow by more than 100 MB. Files at which a reader
+fails are kept.
+
+``python tests/hostile_files.py`` tests 20,000 files per reader, which takes hours.
 """
 
 import argparse
@@ -43,7 +44,7 @@ _PATTERNS = [
 
 
 def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
-    """A file's bytes after one to four mutations."""
+    """Apply one to four random mutations to a file's bytes."""
     kinds = ("flip", "insert", "delete", "repeat", "cut", *(("replace",) * 5 if text else ("overwrite",) * 2))
     for _ in range(int(rng.choice([1, 1, 1, 2, 3, 4]))):
         at = int(rng.integers(len(data) + 1))
@@ -63,7 +64,7 @@ def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
             case "overwrite":
                 pattern = _PATTERNS[rng.integers(len(_PATTERNS))]
                 data = data[:at] + pattern + data[at + len(pattern) :]
-            case "replace":  # a number or an innermost list or mapping gives way to something extreme
+            case "replace":  # replace a number, or an innermost list or mapping, by an extreme value
                 if tokens := list((_NUMBER if rng.random() < 0.8 else _BRACKETS).finditer(data)):
                     token, extreme = tokens[rng.integers(len(tokens))], _EXTREMES[rng.integers(len(_EXTREMES))]
                     data = data[: token.start()] + extreme.encode() + data[token.end() :]
@@ -71,28 +72,25 @@ def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
 
 
 def hostile(reader: Reader, valid: list[bytes], seed: int, number: int) -> bytes:
-    """The mutated file of a number; the same for the same seed."""
+    """Return the mutated file of a number, deterministically."""
     rng = np.random.default_rng([seed, number])
     data = mutated(valid[rng.integers(len(valid))], rng, reader.repaired is None)
     return reader.repaired(data) if reader.repaired and rng.random() < 0.95 else data
 
 
-# What becomes of them.
-
-
-MOST_SECONDS, MOST_GROWTH = 1.0, 100e6
+MOST_SECONDS, MOST_GROWTH = 1.0, 100e6  # limits of a reader: seconds, bytes
 _HANGS = 60  # seconds after which a reader is interrupted
-_ADDRESS_SPACE = 8 * 2**30  # beyond what is in use: the net under a reader that asks for all there is
+_ADDRESS_SPACE = 8 * 2**30  # bytes that a reader may allocate before allocations fail
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a file.
+    """The result of reading a file.
 
     Attributes:
-        kind: "read" or "refused"; else how the reader failed.
-        message: What it said.
-        seconds: Of computing.
+        kind: "read" or "refused"; anything else is a failure of the reader.
+        message: The message of the exception.
+        seconds: CPU time.
         growth: Bytes by which the process grew beyond its largest size so far.
     """
 
@@ -103,12 +101,11 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether the reader did what it must not."""
         return self.kind not in ("read", "refused")
 
 
 def attempt(reader: Reader, path: Path) -> Outcome:
-    """Read a file. Only time and memory are left for the caller to judge."""
+    """Read a file and measure time and memory, which the caller judges."""
     began, before = time.process_time(), _peak()
     kind, message = "read", ""
     try:
@@ -130,7 +127,7 @@ _valid = cache(lambda name: READERS[name].valid())
 
 
 def trial(name: str, number: int, folder: Path, seed: int) -> Outcome:
-    """What becomes of a mutated file, which is kept if its reader fails."""
+    """Read a mutated file, and keep it if its reader fails."""
     reader = READERS[name]
     path = folder / f"{name}_{number}{reader.suffix}"
     path.write_bytes(hostile(reader, _valid(name), seed, number))

@@ -1,11 +1,11 @@
-"""Small hostile workspaces, and what the package answers about them beside an exact oracle.
+"""Small hostile workspaces on which the answers of the package are compared with an exact oracle.
 
-``python tests/hostile_plans.py --plans 2000`` makes random workspaces of shared vertices, collinear walls, touching
-corners, walls flush with the bounds, spikes, and slivers and gaps of 1 to 10 tolerances. Goals lie beside walls,
-their ends, corners and contacts. It counts wrong answers, broken bounds, hangs and refusals.
+``python tests/hostile_plans.py --plans 2000`` makes random workspaces with shared vertices, collinear walls, touching
+corners, walls along the bounds, spikes, and slivers and gaps of 1 to 10 tolerances. Goals lie beside walls, their
+ends, corners and contacts. It counts wrong answers, broken bounds, hangs and refusals.
 
-A point that the tolerance cannot tell from others has the answers of all of them: an answer is wrong if it lies
-outside of the interval of these. For points in 32 bits the tolerance is what 32 bits resolve.
+A point stands for all points within the tolerance. An answer is wrong if it lies outside the interval of the exact
+answers of these points. For 32-bit points, the tolerance is the resolution of 32-bit floats.
 """
 
 import argparse
@@ -26,19 +26,19 @@ from exact_plane import ExactPlane, as_exact
 
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
 
-_ASKED = ["oracle", "fields", "pairs"]  # the oracle, certified PLRs of one goal a plan, pairs
-_HANGS = 30  # seconds
-_NEAR = 2  # tolerances of the workspace: points as near to a wall may be on either side
-_NEAR_32 = 1e-7  # widths: the same of points in 32 bits
-_NEAR_PAIRS, _SLACK_PAIRS = 8e-6, 2e-5  # widths: what pairs are documented to resolve, and how much they may lack
-_SHARP = 0.6  # cosine of the angle of an obstacle's tip that is thinner than that, as near to the tip
-_OFFSETS = [0, 0.5, 1, 2, 3]  # tolerances from walls and their ends
-_STEPS = [1e-6, 1e-3]  # widths from them
+_ASKED = ["oracle", "fields", "pairs"]  # the oracle, certified PLRs of one goal per plan, pairs
+_HANGS = 30  # seconds after which a plan counts as hanging
+_NEAR = 2  # tolerances: points closer to a wall may lie on either side of it
+_NEAR_32 = 1e-7  # the same for 32-bit points, in widths of the workspace
+_NEAR_PAIRS, _SLACK_PAIRS = 8e-6, 2e-5  # documented resolution and error of pairs, in widths
+_SHARP = 0.6  # cosine of the angle below which the tip of an obstacle counts as thin
+_OFFSETS = [0, 0.5, 1, 2, 3]  # distances of points from walls and their ends, in tolerances
+_STEPS = [1e-6, 1e-3]  # more of these distances, in widths
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A workspace's arguments, goals, and points to ask for."""
+    """Arguments of a workspace, goals and query points."""
 
     bounds: Any
     obstacles: list[Any]
@@ -55,7 +55,6 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
     tolerance = 1e-9 * float((hi - lo).max())
 
     def place(count: int) -> np.ndarray:
-        """Random points."""
         if kind == "floats":
             return lo + rng.random((count, 2)) * (hi - lo)
         parts = 8 if kind == "lattice" else 1000
@@ -83,9 +82,9 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
             return star(place(int(rng.integers(3, 6))))
         if way == "touching":
             return star(np.stack([vertex, a, b]))
-        if way == "opposite":  # a rectangle whose corner is that of another ring
+        if way == "opposite":  # a rectangle that shares a corner with another ring
             return rectangle(vertex, a)
-        if way == "collinear":  # with a side in line with that of another one
+        if way == "collinear":  # a rectangle with a side through a vertex of another ring
             axis = rng.integers(2)
             one, other = a.copy(), b.copy()
             one[axis] = vertex[axis]
@@ -107,7 +106,7 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
             return rectangle(one, other)
         if way == "slanted":
             return np.stack([a, b, b + thin * across, a + thin * across])
-        # A gap: a rectangle so far beside the upper end of another ring.
+        # A gap: a rectangle just beside the upper end of another ring.
         axis, edge = rng.integers(2), old.max(axis=0)
         one, other = old.min(axis=0).copy(), edge.copy()
         one[axis], other[axis] = edge[axis] + thin, edge[axis] + thin + abs(b - a)[axis]
@@ -152,7 +151,7 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
 
 @dataclass
 class Judge:
-    """What is exact of a plan, and what was answered wrongly."""
+    """Exact answers for a plan, and the wrong answers of the package."""
 
     plan: Plan
     boundary: np.ndarray
@@ -165,11 +164,11 @@ class Judge:
 
     @cached_property
     def rounded(self) -> ExactPlane:
-        """The plane as the workspace rounds it."""
+        """The plane after rounding by the workspace."""
         return ExactPlane(self.boundary)
 
     def interval(self, plane: ExactPlane, x: Any, y: Any, radius: float) -> tuple[float, float]:
-        """Least and largest distance of the points that are as near."""
+        """Return the least and largest distance between points within a radius of both ends."""
         ends = [y, *plane.near(y, radius)]
         values = np.concatenate([plane.distances(each, ends) for each in [x, *plane.near(x, radius)]])
         return float(values.min()), float(values.max())
@@ -177,7 +176,7 @@ class Judge:
     def values(
         self, name: str, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, slack: float, radius: float
     ):
-        """Count values that are wrong."""
+        """Count wrong values."""
         self.counts[f"{name}: asked"] += len(x)
         with np.errstate(invalid="ignore"):
             doubtful = ~((got == exact) | (np.abs(got - exact) <= slack))
@@ -189,7 +188,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
 
     def pairs(self, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, width: float):
-        """Count distances that are wrong and not, as documented, too short beside what 32 bits do not resolve."""
+        """Count wrong distances of pairs, except those too short beside walls that 32 bits do not resolve."""
         radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
         may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
         may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)
@@ -197,7 +196,7 @@ class Judge:
         self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius)
 
     def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
-        """Whether two walls, or both walls of a tip, are as near."""
+        """Return whether two walls, or both walls of a thin tip, are within the radius."""
         near = self.boundary[shapely.dwithin(shapely.linestrings(self.boundary), shapely.Point(x), radius)]
         for one in near:
             for other in near:
@@ -213,7 +212,7 @@ class Judge:
         return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
 
     def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float, radius: float):
-        """Count bounds that are broken, and those that are for points in 32 bits alone."""
+        """Count broken bounds; those that rounding to 32 bits excuses are counted apart."""
         lower, upper = (np.asarray(each, float) for each in got)
         reached = np.isfinite(exact)
         self.counts[f"{name}: asked"] += int(reached.sum())
@@ -230,7 +229,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
 
     def _may_see(self, a: np.ndarray, b: np.ndarray, answer: bool) -> bool:
-        """Whether segments a tolerance beside another one are answered so."""
+        """Return whether a segment within the tolerance of the given one has this answer."""
         radius, way = _NEAR * self.plan.tolerance, b - a
         if np.hypot(*way) <= 4 * radius:
             return True
@@ -253,7 +252,7 @@ class Judge:
 
 
 def judge(plan: Plan, ask: Collection[str]) -> Judge:
-    """Ask the package all about a plan."""
+    """Compare all answers of the package about a plan."""
     workspace = Workspace(plan.bounds, plan.obstacles)
     result = Judge(plan, workspace.boundary.segments)
     width, x = float(workspace.bounds.width.max()), plan.points
@@ -264,7 +263,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
         return result
     oracle = VisibilityGraph(workspace, goals[0])
     exact = [result.given.distances(goal, x) for goal in goals]
-    # Of points in obstacles pairs answer nothing that means something.
+    # Distances of pairs mean nothing for points in obstacles.
     is_free = np.array([bool(result.given.sectors_at(as_exact(each))) for each in x])
     pairs = None
     if "pairs" in ask:
@@ -298,7 +297,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
 
 
 def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
-    """What is made, None if it is refused."""
+    """Return what is made, or None if it is refused with a ``ValueError``."""
     result.counts[f"{name}: made"] += 1
     try:
         signal.alarm(_HANGS)
@@ -310,7 +309,7 @@ def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
 
 
 def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
-    """A plan and what is wrong; hangs and errors are counted as well."""
+    """Make and judge a plan; hangs and errors are counted as well."""
     plan = hostile_plan(seed, number)
     signal.alarm(_HANGS)
     try:

@@ -1,4 +1,4 @@
-"""Readers of files, and valid files of each: what :mod:`hostile_files` mutates."""
+"""Readers of files, and valid files of each, which :mod:`hostile_files` mutates."""
 
 import io
 import json
@@ -59,10 +59,11 @@ class Reader:
     """A reader, and valid files to mutate.
 
     Attributes:
-        read: Takes a path.
-        suffix: How the names of its files end.
-        valid: Makes the files' contents.
-        repaired: Takes a mutated file; gives one whose checksum is right, or the same if it is binary and has none.
+        read: Reads a path.
+        suffix: File name suffix.
+        valid: Makes the contents of valid files.
+        repaired: Repairs the checksums of a mutated file, or returns a binary file without checksums as it is; None
+            for text files.
     """
 
     read: Callable[[Path], Any]
@@ -100,8 +101,8 @@ def _plr_files() -> list[bytes]:
         return np.where((x[:, 0] > 0.4) & (x[:, -1] < 0.3), np.inf, np.linalg.norm(x - 0.7, axis=1))
 
     kinds = [
-        (2, {"leaf": "plane", "max_leaves": 20}),  # of floats
-        (3, {"leaf": "plane", "max_bytes": 300}),  # of integers
+        (2, {"leaf": "plane", "max_leaves": 20}),  # stores floats
+        (3, {"leaf": "plane", "max_bytes": 300}),  # stores integers
         (2, {"leaf": "continuous", "max_leaves": 20}),
         (1, {"leaf": "smooth", "max_leaves": 10}),
     ]
@@ -118,7 +119,7 @@ def _pairs_files() -> list[bytes]:
 
 
 def corridor(count: int) -> bytes:
-    """Pairs of a corridor with so many corners in a byte or so each, whose tables take a gigabyte."""
+    """Return a file of pairs for a corridor of few bytes per corner, whose tables would take a gigabyte."""
     x = np.arange(count // 2)
     points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
     outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
@@ -154,7 +155,7 @@ def _read_mesh(path: Path) -> Any:
 
 
 def _with_checksums(data: bytes) -> bytes:
-    """A picture, of whose chunks the checksums are right if it is a PNG."""
+    """Repair the checksums of all chunks if a picture is a PNG."""
     result, rest = data[:8], data[8:]
     if result != b"\x89PNG\r\n\x1a\n":
         return data
@@ -166,7 +167,7 @@ def _with_checksums(data: bytes) -> bytes:
 
 
 def _with_checksum(data: bytes) -> bytes:
-    """A PLR file whose layers have checksums that are right, as far as its header says where they end."""
+    """Repair the checksums of the layers of a PLR file, as far as its header says where they end."""
     try:
         header = Header.read(data)
     except ValueError:
@@ -199,7 +200,7 @@ def _cost_map_of(mode: str) -> bytes:
 
 
 def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
-    """A reader of the map, beside whose file there is its picture."""
+    """Wrap a reader of map files so that the picture lies beside the file."""
 
     def reader(path: Path) -> Any:
         path.with_name("room.pgm").write_bytes(_PICTURE)
@@ -209,7 +210,7 @@ def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
 
 
 def _read_cost_map_of_picture(path: Path) -> Any:
-    """What a map of one mode or another makes of a picture."""
+    """Read a picture as a cost map, in a mode that depends on the file size."""
     mode = _MODES[path.stat().st_size % len(_MODES)]
     file = path.with_name(f"{path.name}.yaml")
     file.write_bytes(_cost_map_of(mode).replace(b"room.pgm", path.name.encode()))

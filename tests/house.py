@@ -1,11 +1,11 @@
 """Measure the size of the code base.
 
 ``python tests/house.py`` prints lines of code, small functions, structural tricks, and what a first call runs.
-``python tests/house.py FOLDER ...`` prints lines and functions of these folders alone, in a second.
+``python tests/house.py FOLDER ...`` prints only lines and functions of these folders, within a second.
 
 A line of code holds more than a comment or a docstring. A private function counts as used once if its name is read
-once in the whole package. What a call runs is counted in a fresh process: the files and functions of the package that
-run during the call, without imports.
+once in the whole package. What a call runs is counted in a fresh process: files and functions of the package, without
+imports.
 """
 
 import ast
@@ -51,7 +51,7 @@ print(len({{file for file, _ in ran}}), len(ran))
 
 
 def lines_of_code(source: str) -> int:
-    """Lines that hold more than a comment or a docstring."""
+    """Count lines that hold more than a comment or a docstring."""
     documented = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
@@ -64,12 +64,11 @@ def lines_of_code(source: str) -> int:
 
 
 def functions_of(tree: ast.AST) -> list[ast.FunctionDef]:
-    """Return all functions and methods of a file."""
     return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
 
 
 def body_lines(function: ast.FunctionDef) -> int:
-    """Count the source lines of a body after its docstring."""
+    """Count the lines of a body without its docstring."""
     body = function.body[1:] if ast.get_docstring(function) is not None else function.body
     return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
 
@@ -110,7 +109,7 @@ def print_size(folder: Path, reads: Counter[str]) -> None:
 
 
 def main() -> None:
-    """Print all measurements, or those of the folders that are named."""
+    """Print all measurements, or only those of the folders that are named."""
     trees = [ast.parse(path.read_text()) for path in (ROOT / "plr_jax").rglob("*.py")]
     reads = reads_of(trees)
     for folder in sys.argv[1:] or ("plr_jax", "tests", "experiments"):

@@ -2,12 +2,12 @@
 
 ``python tests/mutations.py --number 200 --seed 0 --lines FOLDER`` works in three steps:
 
-1. Run each test file once, alone, and keep its seconds and the lines of the package that it ran in FOLDER.
+1. Run each test file once, and store its duration and the lines of the package that it runs in FOLDER.
 2. Draw operators, comparisons and constants of ``plr_jax``, and change one at a time in a copy.
-3. Run the test files that ran the changed line, first the files of the same room, then the quicker files.
+3. Run the test files that run the changed line, first those of the same room, then the faster ones.
 
-A change that no test notices is printed: it is equivalent to the original, or a test is missing. ``--quick`` uses the
-quick tier of the tests alone; give it a FOLDER of its own.
+A change that no test notices is printed: either it is equivalent to the original, or a test is missing. ``--quick``
+uses only the quick tier of the tests; it needs a FOLDER of its own.
 """
 
 import argparse
@@ -33,13 +33,13 @@ OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorD
 COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
 PYTEST = ["-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", "-m"]
 ALL, QUICK = "full or not full", "not full"
-NO_TESTS = 5  # pytest's exit status for a file none of whose tests belongs to the tier
-SECONDS = 120  # a change is tested for about as long, by the times of unchanged tests
-LONGEST = 900  # seconds after which a change counts as noticed, since its tests hang
+NO_TESTS = 5  # exit status of pytest if no test of a file belongs to the tier
+SECONDS = 120  # test files are chosen for each change until their durations sum to this
+LONGEST = 900  # seconds after which tests hang, so that the change counts as noticed
 
 
 class Mutation(NamedTuple):
-    """Source text from ``begin`` to ``end``, which are byte offsets in a file, and what to write in its place."""
+    """A replacement of the bytes from ``begin`` to ``end`` of a file by ``text``."""
 
     path: Path
     begin: int
@@ -48,7 +48,7 @@ class Mutation(NamedTuple):
 
 
 def mutations_of(path: Path) -> Iterator[Mutation]:
-    """All single changes of a file, but for annotations, messages of errors, and texts."""
+    """Yield all single changes of a file, except in annotations, error messages and strings."""
     source = path.read_bytes()
     starts = [0]
     for line in source.splitlines(keepends=True):
@@ -82,7 +82,7 @@ def mutations_of(path: Path) -> Iterator[Mutation]:
 
 
 class TestFile(NamedTuple):
-    """A file of tests: where it is, how many seconds it takes, and the lines of each file of the package it runs."""
+    """A test file, its duration, and the lines of each package file that it runs."""
 
     name: str
     seconds: float
@@ -90,7 +90,7 @@ class TestFile(NamedTuple):
 
 
 def test_files(folder: Path, tier: str) -> list[TestFile]:
-    """Return all test files. Run those that the folder does not hold yet."""
+    """Return all test files with their durations and lines; run those that the folder does not have yet."""
     folder.mkdir(exist_ok=True)
     names = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").rglob("test_*.py"))]
     result = []
@@ -115,7 +115,7 @@ def test_files(folder: Path, tier: str) -> list[TestFile]:
 
 @cache
 def lines_in_functions(path: Path) -> set[int]:
-    """Lines that run when something is called, not when the module is imported."""
+    """Return the lines that run when functions are called, not at import."""
     functions = [n for n in ast.walk(ast.parse(path.read_bytes())) if isinstance(n, ast.FunctionDef | ast.Lambda)]
     return {
         line
@@ -130,7 +130,7 @@ def line_of(mutation: Mutation) -> int:
 
 
 def tests_of(mutation: Mutation, files: list[TestFile]) -> list[str]:
-    """The files that ran the line or, if imports alone do, anything in its module; as many as the seconds allow."""
+    """Return test files, within the time limit, that run the changed line (or its module, if only imports run it)."""
     name = str(mutation.path.relative_to(ROOT))
     called = lines_in_functions(mutation.path)
     asked = {line_of(mutation)} if line_of(mutation) in called else called
@@ -150,7 +150,7 @@ def tests_of(mutation: Mutation, files: list[TestFile]) -> list[str]:
 
 
 def is_noticed(mutation: Mutation, tests: list[str], tier: str) -> bool:
-    """Whether tests fail, or take too long, on a copy that is changed."""
+    """Return whether tests fail, or hang, on a copy with the change."""
     if not tests:
         return False
     with tempfile.TemporaryDirectory() as folder:
@@ -168,13 +168,13 @@ def is_noticed(mutation: Mutation, tests: list[str], tier: str) -> bool:
             )
         except subprocess.TimeoutExpired:
             return True
-        if run.returncode in (3, NO_TESTS):  # an internal error of pytest; a process that dies is noticed
+        if run.returncode in (3, NO_TESTS):  # 3: internal error of pytest
             raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
         return run.returncode != 0
 
 
 def main() -> None:
-    """Print what is not noticed, and the share of what is."""
+    """Print the changes that no test notices, and the share that tests notice."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)

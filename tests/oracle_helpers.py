@@ -1,4 +1,4 @@
-"""What tests of oracles share: obstacles that are boxes, roadmaps among them, workspaces, and lengths of paths."""
+"""Helpers for tests of oracles: boxes as obstacles, roadmaps among them, workspaces, and lengths of paths."""
 
 import numpy as np
 from piece_helpers import TEN, box
@@ -11,7 +11,7 @@ MIDDLE = Workspace(TEN, [box(4, 2, 6, 8)])
 
 
 class Boxes:
-    """Axis-aligned obstacles in any dimension, open, so that their boundary is free."""
+    """Open axis-aligned boxes as obstacles, in any dimension; their boundary is free."""
 
     def __init__(self, *boxes):
         self.lo, self.hi = np.reshape(boxes, (len(boxes), 2, -1)).swapaxes(0, 1) if boxes else np.zeros((2, 0, 1))
@@ -20,7 +20,7 @@ class Boxes:
         return ~((self.lo[:, None] < x) & (x < self.hi[:, None])).all(axis=2).any(axis=0)
 
     def is_visible(self, a, b):
-        """Whether no open box meets the segment: slab by slab."""
+        """Return whether no open box meets the segment, by the slab method."""
         lo, hi = self.lo[:, None], self.hi[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             enter, leave = np.sort([(lo - a) / (b - a), (hi - a) / (b - a)], axis=0)
@@ -31,10 +31,8 @@ class Boxes:
 
 
 NOTHING = Boxes()
-# A wall from floor to ceiling but for a gap in y in [0.8, 0.9].
-GAP = Boxes((0.45, -1.0, 0.55, 0.8), (0.45, 0.9, 0.55, 2.0))
-# A wall without a gap.
-CUT = Boxes((0.45, -1.0, 0.55, 2.0))
+GAP = Boxes((0.45, -1.0, 0.55, 0.8), (0.45, 0.9, 0.55, 2.0))  # a wall with a gap for y in [0.8, 0.9]
+CUT = Boxes((0.45, -1.0, 0.55, 2.0))  # a wall without a gap
 
 
 def roadmap(obstacles, goal=(0.1, 0.1), num_samples=300, domain=UNIT, **options):

@@ -1,4 +1,4 @@
-"""What the tests of pairs share: workspaces, exact distances, and what holds of the pairs of any workspace."""
+"""Helpers for tests of pairs: workspaces, exact distances, and properties of the pairs of any workspace."""
 
 import numpy as np
 import shapely
@@ -14,17 +14,16 @@ WALL = Workspace(TEN, [box(4, 0, 6, 8)])
 
 
 def two_batches(workspace, n, seed=0):
-    """Free points, the first and the second ones of pairs."""
+    """Return two batches of free points."""
     return workspace.sample_free(2 * n, seed).reshape(2, n, 2)
 
 
 def exact(workspace, x, y):
-    """Distances by an oracle that computes them pair by pair."""
     return VisibilityGraph(workspace, x[0]).between(x, y)
 
 
 def joined(rooms, n=40, squeeze=False):
-    """Rooms of ten by ten as one workspace, of which queries are compiled once, and ``n`` pairs of points of each."""
+    """Return 10 x 10 rooms as one workspace, so that queries are compiled once, and pairs of points per room."""
     side = int(np.ceil(len(rooms) ** 0.5))
     shifts, size = 11 * np.stack(np.divmod(np.arange(len(rooms)), side), axis=1), 11 * side - 1
     obstacles = [
@@ -38,9 +37,9 @@ def joined(rooms, n=40, squeeze=False):
 
 
 def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6, loose=0.0):
-    """Fails unless distances are exact to rounding and their bounds hold; the share of finite upper bounds.
+    """Check that distances are exact to rounding and within bounds; return the share of finite upper bounds.
 
-    Lower bounds are close, but for a share that may be loose: where a path would be shorter through a contact.
+    Lower bounds are close except for a share ``loose``, where a path through a contact would be shorter.
     """
     truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
     reached = np.isfinite(truth)
@@ -52,7 +51,7 @@ def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6, loose=0.0):
 
 
 def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0):
-    """What a file holds of one ring of corners; without leaves' lists one leaf has them all."""
+    """Return the file data of one ring of corners; without ``lists``, one leaf lists all corners."""
     corner = np.arange(len(points))
     outline = Outline(np.zeros(2), 1.0, np.asarray(points), np.array([0, len(points)]), False)
     tree = tree_of(Cells.root(2) if cells is None else cells)
@@ -62,7 +61,7 @@ def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0)
 
 
 def serpentine(corners, joined=()):
-    """The same of a corridor with so many corners."""
+    """Return the file data of a corridor with this number of corners; see :func:`stored_ring`."""
     k = np.arange(corners // 2)
     points = np.concatenate([np.stack([2 * k, 3 * (k % 2)], 1), np.stack([2 * k, 10 + 3 * (k % 2)], 1)[::-1]])
     return stored_ring(points, (2 * len(k), 14), joined, rounding=2.0**-10)

@@ -1,4 +1,4 @@
-"""What the tests of convex pieces share: random ones, and Shapely's polygons of them."""
+"""Helpers for tests of convex pieces: random pieces, workspaces, and conversion to Shapely polygons."""
 
 import numpy as np
 import shapely
@@ -10,12 +10,12 @@ TEN = ((0, 0), (10, 10))
 
 
 def box(x0, y0, x1, y1):
-    """Corners of a box, counterclockwise."""
+    """Return the corners of a box, counterclockwise."""
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
 
 
 def as_pieces(rings):
-    """Convex polygons, given by their corners in either direction, as pieces."""
+    """Return convex polygons, given by their corners in either direction, as pieces."""
     pieces = np.empty((2, len(rings), ROOM))
     for i, ring in enumerate(rings):
         ring = np.asarray(ring, float)
@@ -27,12 +27,11 @@ def as_pieces(rings):
 
 
 def polygons(pieces):
-    """Shapely's polygons of pieces."""
     return [shapely.Polygon(piece.T) for piece in pieces.transpose(1, 0, 2)]
 
 
 def random_pieces(rng, n, size=3.0):
-    """Triangles of any shape, thin ones too, and what random boxes leave of them."""
+    """Return random triangles, some very thin, and their intersections with random boxes."""
     rings = []
     while len(rings) < n:
         triangle = rng.uniform(0, 10, 2) + rng.uniform(-size, size, (3, 2)) * 10.0 ** rng.uniform(-2, 0, 2)
@@ -46,7 +45,7 @@ def random_pieces(rng, n, size=3.0):
 
 
 def points_of(rng, pieces, k):
-    """Random points of each piece, a third of them beside its corners, ``(pieces, k, 2)``."""
+    """Return ``k`` random points of each piece, a third of them near corners, ``(pieces, k, 2)``."""
     weight = rng.dirichlet(np.full(pieces.shape[2], 0.5), (pieces.shape[1], k))
     near = rng.integers(pieces.shape[2], size=(pieces.shape[1], k))
     share = np.where(rng.random((pieces.shape[1], k)) < 1 / 3, 1 - 10.0 ** rng.uniform(-7, -2, near.shape), 0.0)
@@ -58,7 +57,7 @@ def points_of(rng, pieces, k):
 
 
 def general_workspace(rng, squeeze=False):
-    """Boxes and triangles that overlap or leave the bounds, some a hair apart."""
+    """Return a workspace of boxes and triangles that overlap or leave the bounds, and a thin gap."""
     corners, size = rng.uniform(-0.5, 9, (4, 2)), rng.uniform(0.3, 3, (4, 2))
     boxes = [box(*c, *(c + s)) for c, s in zip(corners, size, strict=True)]
     triangles = [rng.uniform(0, 10, 2) + rng.uniform(-2, 2, (3, 2)) for _ in range(2)]
@@ -69,7 +68,7 @@ def general_workspace(rng, squeeze=False):
 
 
 def lattice_workspace(rng, squeeze=False):
-    """Cells of a lattice blocked at random: collinear walls, point contacts and cut-off parts everywhere."""
+    """Return a lattice with cells blocked at random: it has collinear walls, point contacts and closed parts."""
     side = int(rng.integers(4, 9))
     step = 10 / side
     blocked = np.argwhere(rng.random((side, side)) < 0.3)
@@ -77,7 +76,7 @@ def lattice_workspace(rng, squeeze=False):
 
 
 def fan_workspace(rng, squeeze=False):
-    """Triangles with sharp tips around a point, some of which they touch."""
+    """Return a workspace of triangles with sharp tips around a point, which some of them touch."""
     middle, triangles = rng.uniform(3, 7, 2), []
     for angle in np.sort(rng.uniform(0, 2 * np.pi, 6)):
         u = np.array([np.cos(angle), np.sin(angle)])
@@ -92,7 +91,7 @@ WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
 
 
 def random_obstacle(rng, kind):
-    """A polygon that may overlap or touch others, be a sliver, or leave the bounds, from (0, 0) to (8, 8)."""
+    """Return a polygon near [0, 8] x [0, 8] that may overlap or touch others, be a sliver, or leave the bounds."""
     corner, size = rng.uniform(-1, 8, 2), rng.uniform(0.05, 3, 2)
     if kind == "grid":
         corner, size = rng.integers(-1, 9, 2), rng.integers(1, 4, 2)
@@ -105,7 +104,7 @@ def random_obstacle(rng, kind):
 
 
 def hard_points(workspace, seed):
-    """Points on vertices and edges of the triangles, beside them by about the tolerance, and anywhere."""
+    """Return points on vertices and edges of the triangulation, beside them by about the tolerance, and anywhere."""
     rng, triangles = np.random.default_rng(seed), workspace.triangulation.triangles
     on_edges = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 2)
     beside = workspace.tolerance * rng.choice([0.01, 1, 10, 100], (len(on_edges), 1))

@@ -1,4 +1,4 @@
-"""What the tests of the planner share: small problems, lattices as graphs, and heuristics."""
+"""Helpers for tests of the planner: small problems, lattices as graphs, and heuristics."""
 
 import time
 from itertools import combinations, product
@@ -42,16 +42,16 @@ SLIT = Workspace(((0, 0), (6, 5)), [shapely.box(2.45, 1, 2.55, 2.9)])
 
 
 def hallway(length):
-    """Two discs that would have to pass one another where there is no room for it."""
+    """Return a problem of two discs that must swap in a hallway too narrow to pass."""
     ends = [(0.5, 0.5), (length - 0.5, 0.5)]
     return Problem(Workspace(((0, 0), (length, 1))), [DiscRobot(0.4)] * 2, ends, ends[::-1])
 
 
 def nudged_team(robot):
-    """Equal robots that meet in few cells of side 1, some with their goal in the cell of their start.
+    """Return equal robots that meet in few cells of side 1, some with start and goal in the same cell.
 
-    One cell holds both ends of a robot, the start of another and the goal of a third; one holds a wall between the
-    ends of a robot; one robot is at its goal.
+    One cell has both ends of a robot, the start of another and the goal of a third. Another has a wall between the
+    ends of a robot. One robot starts at its goal.
     """
     x, y = np.array([(0.7, 0.6), (3.2, 3.3), (0.3, 0.2), (5.5, 1.5), (2.2, 2.2), (4.1, 0.9)]).T
     to_x, to_y = np.array([(0.3, 0.4), (3.2, 3.3), (5.5, 0.5), (0.75, 0.85), (2.8, 2.3), (4.1, 0.9)]).T
@@ -62,7 +62,7 @@ def nudged_team(robot):
 
 
 def nudged_discs(num_rows):
-    """A square of discs in the open, the goal of each a little beside its start."""
+    """Return a square of discs in the open, with each goal a little beside the start."""
     starts = np.array(list(product(2 * np.arange(num_rows) + 1.03, repeat=2)))
     room = Workspace(((0, 0), (2 * num_rows, 2 * num_rows)))
     return Problem(room, [DiscRobot(0.2)] * len(starts), starts, starts + 0.1)
@@ -73,7 +73,7 @@ def exact(problem):
 
 
 def planned(problem, heuristic=None, **options):
-    """A solution that an independent check finds valid, with exact ends."""
+    """Return a solution after checking its validity, exact ends, and bounds."""
     solution = bl_plan(problem, heuristic or exact(problem), BLOptions(**options))
     assert solution.solved, solution
     report = validate(problem, solution.path)
@@ -97,7 +97,7 @@ def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
 
 
 def graph_of(lattice):
-    """The motions of a lattice that are not blocked, but for staying."""
+    """Return the free motions of a lattice as a graph, without those that stay."""
     graph = nx.DiGraph()
     graph.add_nodes_from(range(len(lattice.q)))
     node, primitive = np.nonzero(np.isfinite(lattice.cost[:, 1:]))
@@ -109,7 +109,7 @@ def graph_of(lattice):
 
 
 def apart(joint, state, primitive):
-    """Whether joint primitives keep all pairs of robots apart, one by one."""
+    """Return whether joint primitives keep all pairs of robots apart, by a loop over pairs."""
     robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
     clear = np.ones(len(state), dtype=bool)
     for i, j in combinations(range(len(robots)), 2):
@@ -122,7 +122,7 @@ def apart(joint, state, primitive):
 
 
 def reachable(joint):
-    """All joint configurations that joint motions reach, one after the other."""
+    """Return all joint configurations that sequences of joint motions reach."""
     start = tuple(lattice.start for lattice in joint.lattices)
     primitive = np.array(
         list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8

@@ -1,4 +1,4 @@
-"""What the tests of robots share: shapes drawn by Shapely, and motions sampled densely in time."""
+"""Helpers for tests of robots: shapes drawn by Shapely, and motions sampled densely in time."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleR
 
 @dataclass(frozen=True)
 class AnyShape(Robot):
-    """Whatever is stated, in one class: shapes that the package does not know."""
+    """A robot of any core, rounding and ``dof``, also of shapes that the package does not have."""
 
     body: tuple
     rounding: float = 0.0
@@ -22,12 +22,12 @@ class AnyShape(Robot):
 
 
 def pebble(size=0.3):
-    """A triangle about its first quarter, rounded."""
+    """Return a rounded triangle."""
     return AnyShape(((1.2 * size, 0.0), (-0.4 * size, 0.7 * size), (-0.4 * size, -0.7 * size)), rounding=0.12)
 
 
 def sled(size=1.0):
-    """A triangle that keeps its heading."""
+    """Return a triangle that keeps its heading."""
     return AnyShape(((0.3 * size, 0.0), (-0.2 * size, 0.25 * size), (-0.2 * size, -0.25 * size)), dof=2)
 
 
@@ -37,7 +37,7 @@ ROBOTS = [POINT, DISC, BAR, WING, PEBBLE]
 
 
 def shapes(robot, q):
-    """Cores as Shapely geometries at configurations (n, 3)."""
+    """Return cores at configurations ``(n, 3)`` as Shapely geometries."""
     angle = np.exp(1j * (q[:, 2] if robot.dof == 3 else np.zeros(len(q))))[:, None]
     corners = (q[:, 0] + 1j * q[:, 1])[:, None] + angle * (robot.core[:, 0] + 1j * robot.core[:, 1])
     corners = np.stack([corners.real, corners.imag], axis=2)
@@ -46,7 +46,7 @@ def shapes(robot, q):
 
 
 def along(q0, q1, num_samples):
-    """Configurations at equal times along motions, (n * num_samples, 3)."""
+    """Return configurations at equal times along motions, ``(n * num_samples, 3)``."""
     turn = np.angle(np.exp(1j * (q1[:, 2] - q0[:, 2])))
     change = np.column_stack([q1[:, :2] - q0[:, :2], turn])
     t = np.linspace(0, 1, num_samples)[None, :, None]
@@ -54,10 +54,10 @@ def along(q0, q1, num_samples):
 
 
 def sampled_distance(robot_a, a0, a1, robot_b, b0, b1, num_samples):
-    """Smallest distance over samples of each motion; negative where discs overlap, 0 where others do."""
+    """Return the smallest sampled distance of each motion; negative if interiors of the shapes overlap."""
     a, b = shapes(robot_a, along(a0, a1, num_samples)), shapes(robot_b, along(b0, b1, num_samples))
     distance = shapely.distance(a, b) - robot_a.rounding - robot_b.rounding
-    # Touching is no overlap: only interiors that meet are.
+    # Shapes overlap if their interiors meet; touching is no overlap.
     for polygons, others in ((a, b), (b, a)):
         if shapely.get_type_id(polygons[0]) == shapely.GeometryType.POLYGON:
             deep = shapely.relate_pattern(polygons, others, "T********")

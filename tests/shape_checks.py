@@ -1,4 +1,4 @@
-"""Shapes and types are checked in each function's first calls of every test file: all would slow the tests down."""
+"""Shape and type checks in the first calls of each function per test file; more would slow the tests down."""
 
 import operator
 import os
@@ -10,17 +10,16 @@ from typing import Any
 
 from beartype import beartype
 
-IS_ON = os.environ.get("PLR_JAX_CHECK_SHAPES") == "1"
-"""What CI asks for; calls then have frames of the checks between them."""
+IS_ON = os.environ.get("PLR_JAX_CHECK_SHAPES") == "1"  # CI sets this; stack traces then contain frames of checks
 CALLS = 5
 _calls: Counter = Counter()
 _skipped: list[Callable] = []
 
 
 def in_first_calls(stub: Callable) -> Callable:
-    """The type checker for jaxtyping, which calls it with a stub of each function's signature.
+    """Return the checker of a function; jaxtyping calls this with a stub of the function's signature.
 
-    Signatures with ``Self`` are not checked: beartype knows ``Self`` only in classes that it decorates itself.
+    Signatures with ``Self`` are not checked, since beartype knows ``Self`` only in classes that it decorates.
     """
     if "Self" in str(stub.__annotations__):
         return stub
@@ -32,9 +31,9 @@ def in_first_calls(stub: Callable) -> Callable:
         nonlocal check
         check = check or beartype(stub)
         _calls[name] += 1
-        if _calls[name] > 2 * CALLS:  # a function within a function, which cannot be told to skip
+        if _calls[name] > 2 * CALLS:  # nested functions cannot be marked as not to check
             return stub(*args, **kwargs)
-        if _calls[name] == 2 * CALLS:  # arguments, and arguments with result
+        if _calls[name] == 2 * CALLS:  # each call checks twice: arguments, then arguments and result
             _skip(*name)
         return check(*args, **kwargs)
 

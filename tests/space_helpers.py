@@ -1,4 +1,4 @@
-"""What the tests of configuration spaces share: random workspaces and boxes, and what dense samples say of them."""
+"""Helpers for tests of configuration spaces: random workspaces and boxes, and checks by dense samples."""
 
 import itertools
 
@@ -16,7 +16,7 @@ def rectangle(x0, y0, x1, y1):
 
 
 def random_workspace(seed):
-    """Some triangles and rectangles, which overlap, and two that touch along a side."""
+    """Return a workspace of overlapping triangles and rectangles, two of which touch along a side."""
     rng = np.random.default_rng(seed)
     corner, size = rng.uniform(0, (3.5, 2.5), (4, 2)), rng.uniform(0.1, 0.9, (4, 2))
     obstacles = [rectangle(*a, *(a + b)) for a, b in zip(corner, size, strict=True)]
@@ -28,7 +28,7 @@ def random_workspace(seed):
 
 
 def random_boxes(rng, domain, n, deepest=7):
-    """Cells of dyadic grids over a domain, from two a side on."""
+    """Return random cells of dyadic grids over a domain, with at least two cells per axis."""
     count = 2 ** rng.integers(1, deepest + 1, (n, domain.dim))
     width = domain.width / count
     lo = domain.lo + np.floor(rng.random((n, domain.dim)) * count) * width
@@ -36,22 +36,22 @@ def random_boxes(rng, domain, n, deepest=7):
 
 
 def samples_of(lo, hi, per_axis):
-    """A lattice over each box, its boundary included, ``(n, samples, dof)``."""
+    """Return a lattice of samples of each box, its boundary included, ``(n, samples, dof)``."""
     share = np.array(list(itertools.product(np.linspace(0, 1, per_axis), repeat=lo.shape[1])))
     return lo[:, None] + share * (hi - lo)[:, None]
 
 
 def keep_clear(workspace, shapes, distance):
-    """The twin: whether shapes, grown by a distance, lie in free space, up to rounding."""
+    """Return whether shapes, grown by a distance, lie in free space, by brute force and up to rounding."""
     free = workspace.free_space.buffer(1e-8)
     inside = shapely.covers(free, shapes)
     return inside & (shapely.distance(shapes, workspace.free_space.boundary) >= distance - 1e-8)
 
 
 def check_classification(space, is_free, lo, hi, per_axis, margin=1e-6):
-    """Fails unless samples of boxes agree with what is proven of them; the states.
+    """Check that samples of boxes agree with the states proven for them; return the states.
 
-    Those of blocked boxes keep off their boundary by a share, the margin: what only touches is free.
+    Samples of blocked boxes keep a margin from their boundary, where touching points may be free.
     """
     state = space.classify(lo, hi)
     assert state.dtype == np.int8 and state.shape == (len(lo),)
@@ -65,7 +65,7 @@ def check_classification(space, is_free, lo, hi, per_axis, margin=1e-6):
 
 
 def check_motions(space, is_free, q0, q1, num_samples=65):
-    """Fails unless samples of motions that are proven free are free; the answers, and whether all samples are."""
+    """Check that samples of motions proven free are free; return the proofs, and whether all samples are free."""
     share = np.linspace(0, 1, num_samples)[None, :, None]
     width, periodic = space.domain.width, np.array(space.domain.periodic)
     change = q1 - q0
@@ -78,7 +78,7 @@ def check_motions(space, is_free, q0, q1, num_samples=65):
 
 
 def states(space, *boxes):
-    """What is known of boxes, each a row of lower and upper corner."""
+    """Return the states of boxes, each given as a row of lower and upper corner."""
     lo, hi = np.array(boxes, dtype=float).reshape(-1, 2, space.domain.dim).transpose(1, 0, 2)
     return space.classify(lo, hi).tolist()
 
@@ -88,12 +88,12 @@ def nothing_known(x):
 
 
 def far_from(goal):
-    """The field that knows of no wall."""
+    """Return the distance to a goal without walls, as a function."""
     return lambda x: np.hypot(*(x - np.asarray(goal)).T)
 
 
 class Slow:
-    """Motions within a box cost more."""
+    """A cost factor for motions inside a box."""
 
     def __init__(self, lo, hi, factor):
         self.lo, self.hi, self.factor = np.array(lo), np.array(hi), factor
@@ -109,7 +109,7 @@ class Slow:
 
 
 class Climb:
-    """Length, and so much more a unit of climbing, on ground with a gradient of the height."""
+    """The cost of length and of climbing, at a rate, on ground with a given gradient of the height."""
 
     def __init__(self, gradient_fn, rate, lipschitz, steepest):
         self.gradient_fn, self.rate, self.lipschitz, self.steepest = gradient_fn, rate, lipschitz, steepest
@@ -127,7 +127,7 @@ class Climb:
 
 
 class SteadyCurrent:
-    """Time of a vehicle of speed 1 in a current that is the same everywhere."""
+    """Travel time of a vehicle of speed 1 in a uniform current."""
 
     def __init__(self, w):
         self.w = np.array(w)
@@ -145,6 +145,6 @@ class SteadyCurrent:
         return pull, pull, one / np.sqrt(self.a), one / self.a
 
     def time(self, v):
-        """The least ``t`` at which the vehicle, carried along for as long, gets to ``v``."""
+        """Return the least time in which the vehicle, carried along by the current, covers the vector ``v``."""
         along = v @ self.w
         return (-along + np.sqrt(along**2 + self.a * np.sum(v * v, axis=1))) / self.a

@@ -1,4 +1,4 @@
-"""Teams on their lattices, for the tests of what moves them step by step."""
+"""Teams on their lattices, for tests of the planners that move them step by step."""
 
 import shapely
 from planner_helpers import joint_lattice_of, search_budget

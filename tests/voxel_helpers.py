@@ -1,4 +1,4 @@
-"""What the tests of voxels share: random volumes, and what is free in them by arithmetic without rounding."""
+"""Helpers for tests of voxels: random volumes, and their free points by exact arithmetic."""
 
 import itertools
 import math
@@ -8,25 +8,25 @@ import numpy as np
 
 
 def random_volume(rng, dim, most=5, share=0.35):
-    """Few voxels, a share of them blocked, at least one free."""
+    """Return a small volume with a share of blocked voxels and at least one free voxel."""
     free = rng.random(rng.integers(1, most + 1, dim)) > share
     free[(0,) * dim] = True
     return free
 
 
 def voxels_around(x):
-    """The voxels of side 1 that hold a point, each a tuple."""
+    """Return the voxels of side 1 that contain a point, as tuples."""
     return list(itertools.product(*[{math.ceil(c) - 1, math.floor(c)} for c in x]))
 
 
 def free_around(free, x):
-    """Those of them that are free."""
+    """Return the free voxels that contain a point."""
     inside = [v for v in voxels_around(x) if all(0 <= k < n for k, n in zip(v, free.shape, strict=True))]
     return {v for v in inside if free[v]}
 
 
 def reached(some, among):
-    """The voxels that some lead to through faces, among others."""
+    """Return the voxels of a set that are connected to given ones through faces."""
     found, stack = set(some), list(some)
     while stack:
         at = stack.pop()
@@ -37,13 +37,13 @@ def reached(some, among):
 
 
 def is_contact(free, x):
-    """Whether free voxels around a point are parted."""
+    """Return whether the free voxels around a point are disconnected."""
     around = free_around(free, x)
     return bool(around) and reached({next(iter(around))}, around) != around
 
 
 def passes(free, q0, q1):
-    """Whether a motion passes, from one face that it meets to the next."""
+    """Return whether a straight motion is free, followed from face to face."""
     q0, q1 = ([Fraction(c) for c in q.tolist()] for q in (q0, q1))
 
     def at(t):
@@ -64,8 +64,10 @@ def passes(free, q0, q1):
 
 
 def state_of(free, lo, hi, step=4):
-    """What a box with corners at multiples of ``2 / step`` is: free, 1; blocked, 0; or mixed, 2. By samples."""
-    ticks = [np.arange(a, b + 1 / step, 1 / step) for a, b in zip(lo, hi, strict=True)]
+    """Return 1 for a free box, 0 for a blocked one, 2 for a mixed one, by samples."""
+    ticks = [
+        np.arange(a, b + 1 / step, 1 / step) for a, b in zip(lo, hi, strict=True)
+    ]  # corners are multiples of 2 / step
     samples = list(itertools.product(*[t.tolist() for t in ticks]))
     inner = [x for x in samples if all(a < c < b for a, c, b in zip(lo, x, hi, strict=True))]
     if not any(free_around(free, x) for x in inner):
@@ -74,7 +76,7 @@ def state_of(free, lo, hi, step=4):
 
 
 def clearances(free, x):
-    """Distances of points to blocked voxels of side 1 and to what is outside, 0 there."""
+    """Return distances of points to blocked voxels of side 1 and to the outside; 0 there."""
     gaps = [np.maximum(np.maximum(k - x, x - k - 1), 0) for k in np.argwhere(~free)]
     nearest = np.min([np.linalg.norm(gap, axis=1) for gap in gaps], axis=0, initial=np.inf)
     return np.maximum(np.minimum(nearest, np.minimum(x, free.shape - x).min(axis=1)), 0)

@@ -1,1 +1,1 @@
-"""Polygons, visibility and boxes: one truth about the plane for every room."""
+"""Geometry: boxes, workspaces, boundaries, triangulation, visibility, sources of cells, pixels and voxels."""

@@ -1,4 +1,4 @@
-"""Axis-aligned boxes: the bounds of a workspace, the domain of a PLR."""
+"""Axis-aligned boxes, such as the bounds of a workspace or the domain of a PLR, and 2-D slices of them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,27 +18,23 @@ from plr_jax._arrays import (
 )
 from plr_jax._types import ArrayLike
 
-_TIE = 1 - 2.0**-40  # with which rounding moves no point that is half a period away
+_TIE = 1 - 2.0**-40  # factor that keeps rounding from moving a point that is exactly half a period away
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
     """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
 
-    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, the *period*: its two ends
-    are one place, the *seam*, and every finite coordinate lies inside.
+    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
+    ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
 
     Args:
         lo: Lower corner, ``(dim,)``, finite.
         hi: Upper corner, ``(dim,)``, finite and above ``lo`` along every axis.
-        periodic: Whether each axis is periodic, one bool an axis; None: no axis is.
-
-    Attributes:
-        periodic: The same, ``dim`` bools.
+        periodic: One bool per axis: whether it is periodic. None: no axis is.
 
     Raises:
-        ValueError: If the corners are not finite vectors of one length, a width is not positive, or ``periodic`` is
-            not one bool an axis.
+        ValueError: If an argument has another form, or a width is not positive.
     """
 
     lo: Float[np.ndarray, "dim"]
@@ -48,7 +44,7 @@ class Box:
     def __init__(self, lo: ArrayLike, hi: ArrayLike, periodic: ArrayLike | None = None):
         lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
-            raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
+            raise ValueError(f"Box corners must have equal length, got lo of {lo.size} and hi of {hi.size} numbers.")
         flat = np.flatnonzero(hi <= lo)
         if flat.size:
             axis = flat[0]
@@ -59,24 +55,13 @@ class Box:
         axes = (False,) * lo.size if periodic is None else periodic
         axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
         if len(axes) != lo.size:
-            raise ValueError(f"Box periodic must be {lo.size} bools, one an axis, got {shortened(periodic)}.")
+            raise ValueError(f"Box periodic must be {lo.size} bools, one per axis, got {shortened(periodic)}.")
         periodic = tuple(as_bool("Each of Box periodic", axis) for axis in axes)
         set_fields(self, lo=lo, hi=hi, periodic=periodic)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
-        """The box that is meant where either a box or its corners may be given.
-
-        Args:
-            value: A Box, or its corners ``(lo, hi)``.
-            name: What the box is called in an error.
-
-        Returns:
-            The box.
-
-        Raises:
-            ValueError: If it is neither, or as for the class.
-        """
+        """Return a Box as it is, or build one from its corners ``(lo, hi)``; errors call it ``name``."""
         if isinstance(value, Box):
             return value
         try:
@@ -92,18 +77,12 @@ class Box:
 
     @property
     def width(self) -> Float[np.ndarray, "dim"]:
-        """Edge length along each axis."""
+        """Edge length along each axis, ``(dim,)``."""
         return self.hi - self.lo
 
     def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
-        """Points at fractions of the widths: the one formula for faces of cells and voxels, so that equal ones agree.
-
-        Args:
-            fraction: Fractions, ``(..., dim)``, or ``(..., 1)`` for equal ones along all axes.
-
-        Returns:
-            The points, exact at 0 and 1.
-        """
+        """Return points at fractions ``(..., dim)`` of the widths, or at ``(..., 1)`` if equal along all axes."""
+        # All faces of cells and voxels come from this formula, so that equal faces are equal to the bit.
         return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
 
     @property
@@ -113,7 +92,7 @@ class Box:
 
     @property
     def in_single(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-        """Its corners as 32-bit floats, rounded outward: a point in the box stays between them when it is rounded."""
+        """Corners as 32-bit floats, rounded outward, so that points of the box rounded to 32 bits stay inside."""
         lo, hi = self.lo.astype(np.float32), self.hi.astype(np.float32)
         return (
             np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
@@ -122,16 +101,13 @@ class Box:
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """How far outside the box the corners of ``in_single`` are, rounded so that its own corners stay inside."""
+        """Distance of each corner of ``in_single`` from the box, ``(2, dim)``, rounded down and at least 0."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
 
     def settled(self, x: ArrayLike) -> ArrayLike:
-        """Points ``(..., dim)``, of which those of 32 bits that rounding has put outside are moved onto the faces.
-
-        So what was clipped to the box in 32 bits counts as inside, as queries of PLRs have it. All others stay.
-        """
+        """Move 32-bit points ``(..., dim)`` that only rounding put outside the box onto its faces; keep others."""
         is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
         if not is_plain or np.shape(x)[-1:] != (self.dim,):
             return x
@@ -139,20 +115,13 @@ class Box:
         return np.where((lo <= x) & (x <= hi), np.clip(x, self.lo, self.hi), x)
 
     def moved(self, by: ArrayLike) -> "Box":
-        """The box moved by a vector, ``(dim,)``."""
+        """Return the box translated by a vector ``(dim,)``."""
         return Box(self.lo + by, self.hi + by, self.periodic)
 
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether points lie in the closed box.
+        """Return whether points ``(n, dim)`` lie in the closed box.
 
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            True where inside or on the boundary, along periodic axes wherever finite; False for NaN.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+        NaN never does; every finite coordinate along a periodic axis does.
         """
         x = as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
@@ -161,18 +130,10 @@ class Box:
         return np.all(inside, axis=1)
 
     def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Points with their coordinates along periodic axes moved by whole periods into ``[lo, hi)``.
+        """Move coordinates along periodic axes by whole periods into ``[lo, hi)``, in double precision.
 
-        Args:
-            x: Points, ``(..., dim)``.
-
-        Returns:
-            The points, in double precision. Coordinates that are there already stay as they are, and so do those
-            along other axes, infinite ones and NaN. Of others, one that rounding may have moved off the seam is at
-            ``lo``.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+        Other axes of the points ``(..., dim)``, infinity, and NaN stay. A moved coordinate within rounding of the
+        seam becomes ``lo``.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):
@@ -188,17 +149,9 @@ class Box:
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Of the points that whole periods lead to from each point the one nearest to a reference.
+        """Move points by whole periods to their images nearest to reference points, all finite and ``(..., dim)``.
 
-        Args:
-            x: Points, ``(..., dim)``, finite.
-            reference: Where to be near, as many points or of a shape that broadcasts, finite.
-
-        Returns:
-            The points, in double precision; the same ones if they are within half a period.
-
-        Raises:
-            ValueError: If the last axis of either is not ``dim`` long.
+        The shapes must broadcast. Points within half a period of the reference do not move.
         """
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
@@ -207,18 +160,7 @@ class Box:
         return x - self.width * np.where(self.periodic, turns, 0.0)
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """``a - b`` the short way around periodic axes, where it is from minus to plus half a period.
-
-        Args:
-            a: Points, ``(..., dim)``, finite.
-            b: Points of a shape that broadcasts with the other, finite.
-
-        Returns:
-            What leads from ``b`` to ``a``.
-
-        Raises:
-            ValueError: If the last axis of either is not ``dim`` long.
-        """
+        """Return ``a - b`` for finite points ``(..., dim)``, the short way around periodic axes."""
         return self.image_near(a, b) - np.asarray(b, np.float64)
 
     def _points(self, name: str, value: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
@@ -228,19 +170,16 @@ class Box:
         return points
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
-        """Cell centers of a grid of (nearly) square cells over a box in the plane.
+        """Return the cell centers of a grid of nearly square cells over a 2-D box.
 
         Args:
             resolution: Number of cells along the longer side, at least 1.
 
         Returns:
-            The centers, row 0 at the lowest ``y``; at least one row and one column.
-
-        Raises:
-            ValueError: If the box is not 2-D, or the resolution less than 1.
+            The centers ``(rows, columns, 2)``, row 0 at the lowest ``y``; at least one row and one column.
         """
         if self.dim != 2:
-            raise ValueError(f"A grid of rows and columns needs a box of two dimensions, got {self.dim}.")
+            raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
         require_integer("resolution", resolution, 1)
         columns, rows = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
         x = self.lo[0] + self.width[0] * (np.arange(columns) + 0.5) / columns
@@ -269,13 +208,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """What two axes of a box span where the other coordinates are given.
-
-    Attributes:
-        domain: The box.
-        axes: The two axes, the horizontal one first.
-        at: A configuration of the slice, which says where it is on the other axes, ``(dim,)``.
-    """
+    """A 2-D slice of a box: the coordinates along ``axes`` vary, the others are those of the point ``at``."""
 
     domain: Box
     axes: tuple[int, int]
@@ -283,25 +216,14 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """The slice where all coordinates but two are given.
-
-        Args:
-            domain: The box, of two dimensions or more.
-            at: Coordinates by axis, counted from 0; periodic ones are wrapped. None: none, of a box in the plane.
-
-        Returns:
-            The slice.
-
-        Raises:
-            ValueError: If not all axes but two are given, or a coordinate is outside the box or not finite.
-        """
+        """Return the slice with fixed coordinates ``at``, a mapping of axes to coordinates; None for a 2-D box."""
         at = {} if at is None else at
         if not isinstance(at, Mapping) or not set(at) <= set(range(domain.dim)):
-            raise ValueError(f"at must be coordinates by axis, such as {{2: 0.5}}, got {shortened(at)}.")
+            raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {shortened(at)}.")
         shown = [axis for axis in range(domain.dim) if axis not in at]
         if len(shown) != 2:
             raise ValueError(
-                f"A picture has two axes: of {domain.dim} coordinates, at must give {domain.dim - 2}, got {len(at)}."
+                f"A picture has 2 axes, so at must fix {domain.dim - 2} of {domain.dim} coordinates, got {len(at)}."
             )
         point = (domain.lo + domain.hi) / 2
         point[list(at)] = as_finite_point("The coordinates of at", list(at.values())) if at else []
@@ -311,12 +233,12 @@ class Slice:
 
     @property
     def box(self) -> Box:
-        """The box in the plane of the two axes."""
+        """The 2-D box that the two axes span."""
         axes = list(self.axes)
         return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
-        """Cell centers of a grid over the slice, as :meth:`Box.grid` in the plane, as configurations."""
+        """Return cell centers as :meth:`Box.grid` does over the slice, as points of the whole domain."""
         centers = self.box.grid(resolution)
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers

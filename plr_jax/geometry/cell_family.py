@@ -1,4 +1,4 @@
-"""Which sources the points of cells may go to first on their way to many goals of one workspace at once."""
+"""Sources that the points of cells may go to first, for many goals of one workspace at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,24 +21,19 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
-_STEP = 2.0**-44  # of the domain's width: in such steps distances beyond the least are kept
+_STEP = 2.0**-44  # resolution of relative distances, as a share of the domain's width
 
 GoalTurns = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
-"""What a goal sees, and the kinds of the corners that may bend a shortest path to it, with their distances."""
+"""The visibility polygon of a goal, and the kinds and distances of the turns on shortest paths to it."""
 
 
 class SharedSources:
-    """Numbers for the sources of many goals, so that cells that differ by a constant between goals have the same.
+    """Indices for the sources of many goals, equal for cells that differ by a constant between goals.
 
-    The best source of a piece, and how far others are from it, depends only on differences between the sources'
-    distances. Behind a corner these are the same for all goals that are reached by way of it. So the sources of each
-    cell are counted from the nearest, and a source with its distance from there is kept once. A *kind* is a corner
-    and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
-
-    Args:
-        points: The viewpoints, ``(views, 2)``: the corners, then the goals.
-        num_turns: Twice the number of corners: the first kinds are theirs.
-        step: Distances are kept as multiples of it, so that those that differ by rounding are equal.
+    Which source of a piece is best, and by how much, depends only on differences of their distances. Behind a corner
+    these are equal for all goals that are reached through it. So distances are counted from the nearest source of
+    each cell, in multiples of ``step``, and each pair of a kind and such a distance is stored once. A *kind* is a
+    corner and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
     """
 
     def __init__(self, points: Float[np.ndarray, "views 2"], num_turns: int, step: float) -> None:
@@ -47,8 +42,8 @@ class SharedSources:
         self._sorted, self._place = np.zeros(0, np.uint64), np.zeros(0, np.int64)
         self._sources: Sources | None = None
 
-    def numbers(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the number of each of some sources; new sources get new numbers, in the order in which they come."""
+    def indices_of(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the index of each source; new sources get the next indices, in their order."""
         steps = np.rint(distance / self._step).astype(np.int64)
         hashes = hash64(kind) + hash64(steps ^ np.int64(1 << 62))
         keys, first, index = np.unique(hashes, return_index=True, return_inverse=True)
@@ -70,24 +65,24 @@ class SharedSources:
 
     @property
     def view(self) -> Int[np.ndarray, "sources"]:
-        """The viewpoint of each."""
+        """Viewpoint of each source."""
         return self.kind >> 1
 
     @property
     def turn(self) -> Int[np.ndarray, "sources"]:
-        """The turn of each, -1 of goals."""
+        """Turn of each source, -1 for goals."""
         return np.where(self.kind < self._num_turns, self.kind, -1)
 
     @property
     def sources(self) -> Sources:
-        """Where they are, and their distances."""
+        """Points and distances of all sources."""
         if self._sources is None:
             self._sources = Sources(self._points[self.view], self._steps * self._step, np.arange(len(self.kind)))
         return self._sources
 
 
 class FamilySources(CellSources):
-    """The sources of distinct cells: of cells of several goals that are alike but for a constant, one."""
+    """The sources of cells of several goals; cells that differ by a constant only are stored once."""
 
     is_family: ClassVar[bool] = True
 
@@ -100,46 +95,45 @@ class FamilySources(CellSources):
         hi: PartCorner,
         cell: UInt64[np.ndarray, "parts"],
     ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "distinct"], PartIndex]:
-        """Return the distinct ones of parts of cells, their keys, a part that each is, and which one each part is.
+        """Cut parts off cells, as :meth:`CellSources.parts`, and keep those with distinct boxes, pieces or pairs.
 
-        Parts are distinct if the hashes of their boxes differ, or their pieces or pairs.
+        ``cell`` holds a hash of each part's box. Returns the distinct parts, their keys, the first part equal to
+        each, and the distinct part of each part.
         """
         inherited, changed = self.cut(parent, axis, is_upper, lo, hi)
-        first, index = _distinct(inherited.keys(cell))
+        first, index = _first_occurrences(inherited.keys(cell))
         changed = changed[np.isin(inherited.cell, first)]
-        settled = inherited.of_cells(first).with_free_boxes(changed, lo[first], hi[first]).counted_from_least()
+        settled = inherited.of_cells(first).merge_free_boxes(changed, lo[first], hi[first]).relative_to_nearest()
         return settled, settled.keys(cell[first]), first, index
 
     def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
-        """Return a hash of each cell: of its box, given by a hash, and of its pieces and pairs."""
+        """Return a hash of each cell: of the given hash of its box, and of its pieces and pairs."""
         pair = hash64(self.source * 2 + self.by_all) + hash64(self.triangle[self.piece] + (1 << 40))
         total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(hash64(pair), dtype=np.uint64)])
         return hash64(np.diff(total[self.first_pair[self.first_piece]])) + cell
 
-    def counted_from_least(self) -> "FamilySources":
-        """Return the same with distances of sources beyond the least of their cell."""
-        named, distances = self.sight.named, self.sources.distances
+    def relative_to_nearest(self) -> "FamilySources":
+        """Return the same cells with distances relative to the least distance of each cell's sources."""
+        source_table, distances = self.sight.source_table, self.sources.distances
         least = np.full(self.num_cells, np.inf)
         np.minimum.at(least, self.cell[self.piece], distances[self.source])
         least = np.where(np.isfinite(least), least, 0.0)
         source, best, distance = self.source.copy(), self.best.copy(), self.distance - least[self.cell]
         for column, beyond in ((source, least[self.cell[self.piece]]), (best, least[self.cell])):
             rows = np.flatnonzero(beyond > 0)
-            column[rows] = named.numbers(named.kind[column[rows]], distances[column[rows]] - beyond[rows])
+            column[rows] = source_table.indices_of(
+                source_table.kind[column[rows]], distances[column[rows]] - beyond[rows]
+            )
         return replace(self, source=source, best=best, distance=distance)
 
 
 @dataclass(frozen=True, eq=False)
 class SharedCells:
-    """Boxes of a workspace, their free convex pieces, and which corners see them: the same for all goals.
+    """Boxes of a workspace with what is the same for all goals: free convex pieces, and the corners that see them.
 
-    Attributes:
-        corners: All corners.
-        cells: The boxes. Their sources are turns, as :func:`turns_by_side` numbers them.
-        radius: Largest distance from the center of each piece to a point of it.
-        length: Distance from the corner of each pair to the center of its piece.
-        by_center: Whether the center sees the corner.
-        step: Distances beyond the least are kept in such steps.
+    ``radius`` is the largest distance from the center of each piece to a point of it. For each pair of a piece and a
+    turn of :func:`turns_by_side`, ``length`` is the distance from the center to the corner, and ``by_center`` says
+    whether the center sees the corner.
     """
 
     corners: CornerVisibility
@@ -153,7 +147,7 @@ class SharedCells:
     def of(
         corners: CornerVisibility, triangulation: Triangulation, domain: Box, lo: PartCorner, hi: PartCorner
     ) -> "SharedCells":
-        """Return what goals share of some boxes in a domain."""
+        """Compute the shared part of some boxes in a domain."""
         lists = turns_by_triangle(corners, triangulation)
         cells = CellSources.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
         radius = np.sqrt(np.square(cells.pieces - cells.center.T[:, :, None]).sum(axis=0).max(axis=1))
@@ -165,19 +159,19 @@ class SharedCells:
     def of_goals(
         self, goals: Sequence[GoalTurns]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
-        """Return the distinct cells of all goals, their keys, and which one each goal's cells are, -1 for none."""
+        """Return the distinct cells of all goals, their keys, and each goal's cells as indices of these (or -1)."""
         cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
-        named = SharedSources(table.points, len(cells.sight.turns.points), self.step)
-        sight = replace(cells.sight, named=named, shadows=Shadows.of(table), has_goal=True)
-        # 1. All cells of all goals: pairs sorted by goal, piece and kind.
+        source_table = SharedSources(table.points, len(cells.sight.turns.points), self.step)
+        sight = replace(cells.sight, source_table=source_table, shadows=Shadows.of(table), has_goal=True)
+        # 1. List the cells of all goals, with pairs sorted by goal, piece and kind.
         of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight.shadows)
         order = np.lexsort((kind, piece, of_goal))
-        row, piece = _numbered((of_goal * len(cells.cell) + piece)[order])
+        row, piece = _group_sorted((of_goal * len(cells.cell) + piece)[order])
         number, row = np.divmod(row, len(cells.cell))
-        node, cell = _numbered(number * cells.num_cells + cells.cell[row])
+        node, cell = _group_sorted(number * cells.num_cells + cells.cell[row])
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
-        source = named.numbers(kind[order], distance[order] - least[cell[piece]])
+        source = source_table.indices_of(kind[order], distance[order] - least[cell[piece]])
         found = FamilySources(
             sight,
             len(node),
@@ -191,24 +185,24 @@ class SharedCells:
             source,
             by_all[order],
         )
-        # 2. Those that differ by more than a constant.
+        # 2. Keep cells that differ by more than a constant.
         box = hash64(node % cells.num_cells)
-        first, index = _distinct(found.keys(box))
+        first, index = _first_occurrences(found.keys(box))
         by_center = by_center[order][np.isin(cell[piece], first)]
         found = found.of_cells(first)
-        found = found.undominated(np.ones(len(found.cell), bool), by_center).counted_from_least()
+        found = found.prune_dominated(np.ones(len(found.cell), bool), by_center).relative_to_nearest()
         result = np.full(len(goals) * cells.num_cells, -1)
         result[node] = np.where(np.diff(found.first_piece)[index] > 0, index, -1)
         return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
 
     def _pairs(self, goals: Sequence[GoalTurns], shadows: Shadows) -> tuple[np.ndarray, ...]:
-        """Goal, piece, kind, distance, and whether all of it or its center is seen, of all pairs that may matter."""
+        """Return goal, piece, kind, distance, and visibility from the piece and its center, of relevant pairs."""
         cells, table, columns = self.cells, shadows.table, []
         lowest, highest = cells.pieces.min(axis=2).T, cells.pieces.max(axis=2).T
         first, num_corners = np.unique(cells.piece, return_index=True)[1], len(self.corners.corners.points)
         of_first, radius = cells.piece[first], self.radius[cells.piece]
         for number, (own, kinds, distances) in enumerate(goals):
-            # 1. Pieces that the goal may see: near the walls that it looks at, and itself.
+            # 1. Pieces that the goal may see, near the bounding box of itself and the walls that it sees.
             ends = np.append(own.boundary.segments[own.edge[own.edge >= 0]].reshape(-1, 2), own.points, axis=0)
             lo, hi = ends.min(axis=0) - table.tolerance, ends.max(axis=0) + table.tolerance
             view, near = num_corners + number, np.flatnonzero(((lowest <= hi) & (highest >= lo)).all(axis=1))
@@ -217,7 +211,7 @@ class SharedCells:
             near, by_center, by_all = near[some], by_center[some], (by_center & is_whole)[some]
             goal, kind, none = np.full(len(near), number), np.full(len(near), 2 * view), np.zeros(len(near))
             columns.append((goal, near, kind, none, by_all, by_center))
-            # 2. Corners by which the way to some point of a piece may be shorter than another way is to all of it.
+            # 2. Corners through which some point of a piece may be closer than the upper bound of the whole piece.
             most = np.full(len(cells.cell), np.inf)
             beyond = np.linalg.norm(cells.center[near] - table.points[view], axis=1) + self.radius[near]
             most[near[by_all]] = beyond[by_all]
@@ -234,14 +228,14 @@ class SharedCells:
         return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
 
 
-def _numbered(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    """Return the distinct ones of ascending numbers, and which of them each number is."""
+def _group_sorted(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+    """Return the distinct values of sorted keys, and the index of each key among them."""
     new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
     return keys[new], np.cumsum(new) - 1
 
 
-def _distinct(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    """Return where each distinct key stands first, ascending, and which of these each key is."""
+def _first_occurrences(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+    """Return the first position of each distinct key, ascending, and the index of each key among these."""
     _, first, index = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[index]

@@ -1,13 +1,13 @@
-"""Which corners the cells of a partition see: for one goal, for many goals, or for none in particular.
+"""The corners that the cells of a partition see: for one goal, for many goals, or for any goal.
 
-The free part of a cell is cut into convex *pieces*: a box that no wall reaches into is one piece, elsewhere they are
-parts of the triangles of free space. Cells are halved again and again, and each half inherits the pieces of its cell
-and the *sources* that some point of a piece may go to first: corners, or the goal. A source is left out as soon as no
-path from the piece can turn there, or no point of the piece sees it.
+The free part of a cell consists of convex *pieces*: the whole cell if no wall reaches into it, else parts of
+triangles of free space. Each piece has *sources*: the corners, and the goal, that paths from some point of it may go
+to first. When a cell is cut, its parts inherit pieces and sources, and sources are dropped that no path from the
+piece turns at, or that no point of the piece sees.
 
-Inside a free piece, the part that a viewpoint sees and the rest are separated by *shadows* alone: the rays from a
-corner onward, between the nearer wall that ends there and the farther wall behind. If no shadow crosses a piece, all
-of the piece is seen or hidden, as its center is.
+Inside a free piece, visible and hidden points are separated by *shadows* only: rays from a corner onward, between the
+nearer wall that ends there and the farther wall behind. If no shadow crosses a piece, all of it is visible if its
+center is, else hidden.
 """
 
 from dataclasses import dataclass, replace
@@ -32,35 +32,29 @@ from plr_jax.geometry.convex_pieces import (
     contain,
     cut_parts,
     difference_of_cones,
-    following,
     highest,
     lowest,
+    next_corner,
 )
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
-_CHUNK = 1 << 16  # pairs of a piece and a source that are tested together where there are many
+_CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
 SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
-"""Sources that see some of each triangle: the first entry of each triangle and their number, and the sources."""
+"""Sources that see a part of each triangle: first entry of each triangle and number of entries; sources."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
     """The shadows around viewpoints, sorted by viewpoint and direction.
 
-    Directions have *keys*: the pseudo-angle counterclockwise from the viewpoint's *cut*, 4 for a full turn.
-
-    Attributes:
-        table: The viewpoints and what they see.
-        key: Direction of each shadow, plus 4 times the number of its viewpoint.
-        unit: The direction as a unit vector.
-        start: Distance from the viewpoint at which the shadow starts.
-        end: Distance at which it ends.
+    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index;
+    ``unit`` is the direction as a unit vector, and ``start`` and ``end`` are distances from the viewpoint.
     """
 
     table: VisibilityTable
@@ -75,11 +69,11 @@ class Shadows:
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
-        # 1. The directions, of vertices.
+        # 1. Unit vectors towards the vertices at which intervals start.
         unit = table.boundary.vertices[table.vertex[row]] - table.points[view]
         length = np.linalg.norm(unit, axis=1)
         unit /= length[:, None]
-        # 2. Distances along each direction to the walls on both sides of it, which may end there; 0 without a wall.
+        # 2. Distance along each direction to the walls of both adjacent intervals; 0 without a wall.
         reach = []
         for edge in (table.edge[row - 1], table.edge[row]):
             normal = table.boundary.normal[edge]
@@ -99,7 +93,7 @@ class Shadows:
         """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
-        # 1. First and last key strictly inside each piece, and whether the cut lies between them.
+        # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
         dx = pieces[0] - self.table.points[view, 0, None]
         dy = pieces[1] - self.table.points[view, 1, None]
         cx, cy = self.table.cut[view].T[:, :, None]
@@ -113,20 +107,20 @@ class Shadows:
         last = highest(np.where(apart, key - blur, -np.inf))
         beyond = np.where(first >= 4, 4.0, 0.0)
         first, last, wraps = first - beyond, last - beyond, wraps & (first < 4)
-        # 2. Shadows whose directions lie strictly inside each piece that does not hold its viewpoint.
+        # 2. Look up the shadows with such keys, unless the piece contains its viewpoint.
         some = np.flatnonzero(~contain(pieces, point[:, None], grid)[:, 0])
-        again = some[wraps[some]]  # those on both sides of the cut are looked up twice
+        again = some[wraps[some]]  # a range that contains the cut is looked up in two parts
         begin = 4.0 * view[np.concatenate([some, again])]
         end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
         begin[: len(some)] += first[some]
         low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
         run, place = ragged_indices(np.maximum(high - low, 0))
         shadow, owner = low[run] + place, np.concatenate([some, again])[run]
-        # 3. A shadow crosses a piece if it holds the middle of the chord that its ray cuts out.
+        # 3. A shadow crosses a piece if it contains the middle of the chord that its ray cuts out.
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx
-        next_along, next_beside = following(along), following(beside)
+        next_along, next_beside = next_corner(along), next_corner(beside)
         crosses = (beside >= 0) != (next_beside >= 0)
         share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
         at = along + share * (next_along - along)
@@ -137,10 +131,10 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two turns for each corner, ``2 * corner + side``, whatever the way onward.
+    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend.
 
-    The line from a point to a corner must have both walls of the corner on one side. From any other point the path
-    would cut off a part of the obstacle, so no shortest path turns there.
+    They hold for any path onward: a point may use one if both walls of the corner lie on one side of the line
+    between.
     """
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
@@ -149,7 +143,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> SourceLists:
-    """Return the turns of :func:`turns_by_side` that see some of each triangle of free space."""
+    """Return the turns of :func:`turns_by_side` that see a part of each triangle of free space."""
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -159,14 +153,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class SightedSources:
-    """Sources, the viewpoint of each, and the turn that a path makes there.
-
-    Attributes:
-        sources: Where the sources are, and their distances.
-        view: The viewpoint of each source.
-        turn: The turn of each source; -1 for a goal, where paths end.
-        kind: Of equal sources in a cell, no two of one kind, the one of the first kind is taken.
-    """
+    """Sources, and the viewpoint and the turn of each; -1 for a goal. Ties go to the smallest ``kind``."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]
@@ -176,17 +163,12 @@ class SightedSources:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What decides which sources a piece may use.
+    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar.
 
-    Attributes:
-        named: The sources: a :class:`SightedSources`, or what has its attributes.
-        shadows: What the viewpoints see.
-        turns: The turns.
-        triangulation: Of free space.
-        has_goal: Whether the distances of the sources to a goal are known.
+    ``has_goal`` says whether distances of the sources to a goal are known.
     """
 
-    named: Any
+    source_table: Any
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -194,17 +176,17 @@ class Sight:
 
     @property
     def tolerance(self) -> float:
-        """How far behind a wall a point still counts as free."""
+        """Distance behind a wall up to which a point counts as free."""
         return self.shadows.table.tolerance
 
     @cached_property
     def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Which sides of the triangles are walls."""
+        """Whether each side of the triangles is a wall."""
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> OfPieces:
-        """Return whether a shortest path from some point of each piece may turn at its source, if seen from there."""
-        turn = self.named.turn[source]
+        """Return whether a shortest path from some point of each piece may turn at its source, if visible."""
+        turn = self.source_table.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
         for normal in self.turns.normal[:, turn]:
@@ -215,27 +197,21 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class CellSources:
-    """The free convex pieces of cells, and pairs of a piece and a source that some point of it may go to first.
+    """The free convex pieces of cells, and the sources that some point of each piece may go to first.
 
-    Pieces stand cell by cell, pairs piece by piece. If distances of sources are known, the distance of a point of a
-    piece is at least the least ``distances[s] + |x - points[s]|`` of its sources. It is at most the least of the
-    sources that all of the piece sees. Each piece has a source: pieces from which no path leads to the goal are left
-    out.
-    Every statement holds to within :attr:`slack`.
+    Pieces are sorted by ``cell``, pairs of a ``piece`` and a ``source`` by piece. If the distances of sources are
+    known, the distance of any point of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
+    sources ``s``. It is at most the minimum over the sources that all of the piece sees. Both bounds hold to within
+    :attr:`slack`. Pieces without a path to the goal are left out, so that each piece has a source.
 
     Attributes:
-        sight: What decides which sources a piece may use.
-        num_cells: How many cells.
-        cell: The cell of each piece.
-        pieces: The pieces.
-        triangle: The triangle that each piece is a part of; -1 for a box that no wall reaches into.
+        triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
         center: A point inside each piece.
-        distance: Distance of each center to the goal, or an upper bound of it if no source is known to see the
-            center; ``inf`` if it was not asked for.
-        best: The source that the shortest path from each center goes to, or one near it; 0 if it was not asked for.
-        piece: The piece of each pair.
-        source: The source of each pair.
-        by_all: Whether every point of the piece sees the source.
+        distance: Distance of each center to the goal, or an upper bound if no source is known to see the center;
+            ``inf`` if it was not computed.
+        best: The source that the shortest path from each center goes to first, or one near it; 0 if not computed.
+        by_all: Whether every point of the pair's piece sees its source.
+        is_family: Whether equal cells of several goals are stored once.
     """
 
     sight: Sight
@@ -250,11 +226,10 @@ class CellSources:
     source: Int[np.ndarray, "pairs"]
     by_all: Bool[np.ndarray, "pairs"]
     is_family: ClassVar[bool] = False
-    """Whether equal cells of several goals are one."""
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
-        """Return the pieces of boxes, each a cell, and of the sources that see their triangles those that matter."""
+        """Return the pieces of boxes, each a cell; ``lists`` holds candidate sources of each triangle."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -264,23 +239,23 @@ class CellSources:
             count, part = len(cell[chunk]), pieces[:, chunk]
             unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
             found = cls(sight, len(lo), cell[chunk], part, triangle[chunk], centers(part), *unknown)
-            chunks.append(found.settled(np.ones(count, bool)))
+            chunks.append(found.prune_sources(np.ones(count, bool)))
         found = chunks[0].append(*chunks[1:])
         found = replace(found, num_cells=len(lo), cell=found.cell % max(1, len(lo)))
-        return found.with_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
+        return found.merge_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
 
     @property
     def slack(self) -> float:
-        """How far any bound may be off, as free space is known to a tolerance."""
+        """Error of the bounds, since free space is known to a tolerance."""
         return 4 * self.sight.tolerance
 
     @property
     def sources(self) -> Sources:
-        """All sources."""
-        return self.sight.named.sources
+        """Points and distances of all sources."""
+        return self.sight.source_table.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
+        """Return whether each given piece contains its ``k`` points, to the tolerance of free space."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
@@ -288,34 +263,34 @@ class CellSources:
         return self.sight.shadows.table.sees(self.views(source), points)
 
     def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the viewpoint of each source. Of one goal viewpoints are numbered as sources."""
-        return self.sight.named.view[source]
+        """Return the viewpoint of each source; for one goal, viewpoints are numbered as sources."""
+        return self.sight.source_table.view[source]
 
     def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the order of sources in which the first of equals is taken."""
-        return self.sight.named.kind[source]
+        """Return the ranks by which ties between sources are broken; the smallest wins."""
+        return self.sight.source_table.kind[source]
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some pieces, each a cell of its own."""
+        """Return some pieces, each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
     def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
-        """First piece of each cell, and the number of pieces."""
+        """First piece of each cell, then the number of pieces."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
     def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
-        """First pair of each piece, and the number of pairs."""
+        """First pair of each piece, then the number of pairs."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
-        """Return some of the cells, in any order, perhaps repeated."""
+        """Select cells, in any order, possibly repeated."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some of the pieces, of the same cells."""
+        """Select pieces; the cells stay the same."""
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
@@ -323,44 +298,41 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
-        """Return some of the pairs, in their order."""
+        """Select pairs."""
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
-        """Return these cells followed by others."""
+        """Concatenate the cells of several objects."""
         several = (self, *others)
         columns = {
             name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))
             for name in ("cell", "pieces", "triangle", "center", "distance", "best", "piece", "source", "by_all")
         }
-        # Cells and pieces are numbered on from one part to the next.
+        # Shift the indices of cells and pieces by the numbers in the preceding objects.
         for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
             columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
         return replace(self, num_cells=sum(each.num_cells for each in several), **columns)
 
     def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
-        """Return parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
+        """Cut parts off cells: boxes that lie in one cell each and are cut from it along one axis."""
         part, is_cut = self.cut(parent, axis, is_upper, lo, hi)
-        return part.with_free_boxes(is_cut, lo, hi)
+        return part.merge_free_boxes(is_cut, lo, hi)
 
     def cut(
         self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
     ) -> tuple[Self, OfPieces]:
-        """Return parts of the cells with all that their pieces inherit, and which pieces were cut."""
+        """Return parts of cells with all that their pieces inherit, and which pieces were cut."""
         pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
         return replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
 
-    def with_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Make one piece of each box that no wall reaches into, and settle what has changed.
-
-        Walls in a box are sides of the triangles that its pieces are parts of.
-        """
+    def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
+        """Merge the pieces of each box that no wall reaches into, and prune the sources of changed pieces."""
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
         rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
         triangle, of = self.triangle[rows[row]], of[row]
         start, end = (self.sight.triangulation.triangles[triangle, each] for each in (side, (side + 1) % 3))
-        # A wall reaches into a box unless a side of the box, or the line of the wall, separates them.
+        # Separating axis test of walls and boxes. Walls in a box are sides of the triangles of its pieces.
         from_middle, half = (start + end) / 2 - ((lo + hi) / 2)[cells[of]], ((hi - lo) / 2)[cells[of]]
         along = np.abs(end - start) / 2
         beside = np.abs(from_middle[:, 0] * (end - start)[:, 1] - from_middle[:, 1] * (end - start)[:, 0])
@@ -370,7 +342,7 @@ class CellSources:
         is_merged = is_free[self.cell]
         stays = (areas(self.pieces) > 0) & ~is_merged
         if is_free.any():
-            # The piece that is the whole box has the sources of all, none of them known to be seen by all of it.
+            # The merged piece has the sources of all pieces; none is known to be visible from all of it.
             owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(stays)))
             keys = owner[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             pieces, triangle = self.pieces.copy(), self.triangle.copy()
@@ -379,20 +351,20 @@ class CellSources:
             found = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
             found = replace(found, piece=owner[found.piece], by_all=found.by_all & ~is_merged[found.piece])
         kept = np.flatnonzero(stays)
-        return replace(found.of_pieces(kept), num_cells=len(lo)).settled((changed | is_merged)[kept])
+        return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
-    def settled(self, changed: OfPieces) -> Self:
-        """Leave out sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
+    def prune_sources(self, changed: OfPieces) -> Self:
+        """Drop sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
 
-        If distances of sources are known, pieces from which no path leads to the goal are left out as well.
+        If distances are known, pieces without a path to the goal are dropped as well.
         """
-        # 1. Centers of changed pieces. The way by the center before bounds their distances: it is in the same convex
-        #    piece, or in the box that is one piece now.
+        # 1. Compute the centers of changed pieces. A path through the old center bounds their distances, since both
+        #    centers lie in one convex piece.
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
         found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-        # 2. Whether all of its piece and the center see each source, and which pairs may matter. Pairs that are not
-        #    tested stay, and are taken to be seen by the center.
+        # 2. Test which pairs may matter, and whether the center or all of the piece sees the source. Pairs that are
+        #    not tested stay and count as visible from the center.
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
         keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
@@ -403,18 +375,18 @@ class CellSources:
         by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
         if not has_goal:
             return replace(found, by_all=by_all).of_pairs(keep)
-        # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those it had.
+        # Far from the origin, rounding may remove all sources of a very thin piece; it then keeps what it had.
         keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
-        return replace(found, by_all=by_all).of_pairs(keep).undominated(changed, by_center[keep])
+        return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
-    def undominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Find the distances of the centers of changed pieces, and leave out pairs that another one beats everywhere.
+    def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
+        """Compute the distances of changed centers, and drop sources that are nowhere in the piece the best.
 
-        A center that no source is known to see keeps the bound of its distance. A source is also beaten where the way
-        by the center is shorter from every point of the piece.
+        A source is dropped if another one, or a path through the center, is shorter from every point of the piece. A
+        center without a visible source keeps the bound of its distance.
         """
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
-        # 1. The best source of each center: of equals one that all of the piece sees.
+        # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
         length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
         order = np.lexsort((self.rank(source), ~self.by_all[pairs], length, piece))
@@ -425,7 +397,7 @@ class CellSources:
             length[order],
             source[order],
         )
-        # 2. Other sources, against the best one if all of the piece sees it, else against the way by the center.
+        # 2. Compare other sources with the best one if all of the piece sees it, else with paths through the center.
         by_best = np.append(self.by_all, False)[best_pair]
         several = np.bincount(self.piece, minlength=len(changed)) > 1
         rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])
@@ -443,7 +415,7 @@ class CellSources:
 
 
 def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return what decides which of the sources of one goal a piece may use: the goal, then the corners."""
+    """Return the sight data of one goal; its sources are the goal, then the corners."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
@@ -451,30 +423,23 @@ def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, tria
 
 
 def lists_of_goal(regions: TurnRegions) -> SourceLists:
-    """Return the sources that points of each triangle may use: the goal, and the turns that see some of it."""
+    """Return the sources that points of each triangle may use: the goal, and the turns that see a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return what decides at which corners paths from a piece may turn first, towards any goal.
-
-    The sources are the turns of :func:`turns_by_side`, of which no distances are known.
-    """
+    """Return the sight data for any goal: the sources are the turns of :func:`turns_by_side`, without distances."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
-    named = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
-    return Sight(named, Shadows.of(visibility.table), turns, triangulation, False)
+    source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
+    return Sight(source_table, Shadows.of(visibility.table), turns, triangulation, False)
 
 
 def corners_of_cells(
     found: CellSources,
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
-    """Return the corners at which paths from each cell may turn first, of sources as :func:`corner_sight` has them.
-
-    Returns:
-        Cells, ascending, and corners; and whether all of the cell sees the corner.
-    """
+    """Return each cell's corners at which paths may turn first, and whether all of the cell sees the corner."""
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

@@ -1,9 +1,9 @@
-"""How the distances to a goal have changed with a map: triangle by triangle, and source by source.
+"""How the distances to a goal differ after a map has changed, by triangle and by source.
 
-From a point of a triangle a path sets out for the goal, or for a turn point that sees some of the triangle. Such a
-pair of a triangle and a source is *intact* if the source sees no changed wall, or none on the way to the triangle,
-and if paths bend around it as before. Where all pairs of a triangle are intact, and the distances of their sources
-have changed by one number, so have those of all points in it.
+From a point of a triangle a path goes straight to the goal, or to a turn point that sees a part of the triangle. Such
+a pair of a triangle and a source is *intact* if no changed wall lies between them and paths bend around the source as
+before. If all pairs of a triangle are intact and the distances of their sources have changed by the same amount, so
+have the distances of all points of the triangle.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,10 @@ Corners = Float[np.ndarray, "4 2"]
 
 @dataclass(frozen=True, eq=False)
 class TriangleSources:
-    """Pairs of a triangle and a source that some point of it may see.
+    """Pairs of a triangle and a source that may see a part of it.
 
-    Attributes:
-        triangle: The triangle.
-        source: The source, before or after.
-        change: By how much its distance is more after than before; NaN if it is not the same one.
-        is_doubted: Whether it may see a changed wall.
+    ``change`` is the new minus the old distance of the source, NaN if it is not the same source; ``is_doubted`` says
+    whether the source may see a changed wall.
     """
 
     triangle: Int[np.ndarray, "pairs"]
@@ -33,30 +30,29 @@ class TriangleSources:
     is_doubted: Bool[np.ndarray, "pairs"]
 
     def __getitem__(self, rows: Int[np.ndarray, "some"]) -> "TriangleSources":
-        """Some of them."""
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
-    def of(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Those of some triangles, in their order."""
+    def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
+        """Select the pairs of some triangles, sorted by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedDistances:
-    """How distances to a goal have changed.
+    """Differences between the distances to a goal before and after a map has changed.
 
     Attributes:
-        boxes: Corners of boxes around all walls that are not the same.
-        source: The source afterwards that each was before; -1 for none.
-        source_change: By how much the distance of each is more; NaN for none.
-        triangles: Of free space before and after, those that have not changed once.
-        change: By how much the distance is more everywhere in each; NaN where pairs have to say.
-        was_cut_off: Which of these are of free space before from which no path led to the goal.
-        before: The pairs of these, before.
-        after: The pairs of these, after.
-        rounding: By how much changes may differ and are one.
-        slack: How much distances before may err, as free space was known to a tolerance.
+        boxes: Corners of boxes around all walls that have changed.
+        source: The new index of each old source; -1 if it is gone.
+        source_change: New minus old distance of each old source; NaN if it is gone.
+        triangles: Triangles of free space before and after; those in both appear once.
+        change: New minus old distance in each triangle, if it is the same everywhere; else NaN.
+        was_cut_off: Whether a triangle was free before, without a path to the goal.
+        before: Pairs of the triangles whose change is NaN, before.
+        after: Pairs of the triangles whose change is NaN, after.
+        rounding: Changes that differ by less count as equal.
+        slack: Error of the old distances, since free space is known to a tolerance.
     """
 
     boxes: list[Corners]
@@ -71,8 +67,8 @@ class ChangedDistances:
     slack: float
 
 
-def are_met(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
-    """Whether the convex hulls of some points each meet a box: neither a side of it nor a line by two parts them."""
+def hulls_meet_boxes(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
+    """Return whether the convex hull of each group of points meets a box, by the separating axis theorem."""
     met = np.zeros(len(hulls), bool)
     x, y = np.ascontiguousarray(hulls.transpose(2, 1, 0))  # NumPy is slow where the last axis is short
     lo, hi = (np.stack([end(x, axis=0), end(y, axis=0)], axis=1) for end in (np.min, np.max))

@@ -1,8 +1,8 @@
-"""What stays of triangles and of what corners see, when free space changes here and there.
+"""Updates of a triangulation and of corner visibility after a local change of free space.
 
-Two workspaces are compared edge by edge: edges of both, to the bit, are kept. Triangles stay that no changed
-edge meets, and the rest is triangulated anew between them. Corners stay, with all they see, that cannot see a changed
-edge. So the cost follows the change, but for a few passes over arrays of all edges.
+Two boundaries are compared edge by edge; edges that are equal to the bit are kept. Triangles are kept unless a
+changed edge meets them, and the gap is triangulated. Corners keep what they see unless they may see a changed edge.
+So the cost follows the change, except for a few passes over arrays of all edges.
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import ragged_indices, take_ragged
-from plr_jax.geometry.boundary import Boundary, places_of
-from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, joined_pairs
-from plr_jax.geometry.triangulation import Triangulation, after, triangulation_of
+from plr_jax.geometry.boundary import Boundary, match_boundary
+from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
+from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
-_TURN = 4.0  # of a pseudo-angle
+_TURN = 4.0  # a full turn as a pseudo-angle
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Two boundaries, and which edges and vertices of the old one are which of the new one.
-
-    Attributes:
-        old: The boundary before.
-        new: The boundary after.
-        vertex: The new vertex that each old one is; -1 for none.
-        edge: The new edge that each old one is; -1 for none.
-    """
+    """Two boundaries, and the new index of each old vertex and edge, -1 if it is gone."""
 
     old: Boundary
     new: Boundary
@@ -46,18 +39,18 @@ class Change:
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
         """Compare two boundaries."""
-        return Change(old, new, *places_of(new.vertices, new.edges, old))
+        return Change(old, new, *match_boundary(new.vertices, new.edges, old))
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
-        """Which new edges are no old ones."""
+        """Whether each new edge has no equal among the old ones."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
 
     @cached_property
     def segments(self) -> Float[np.ndarray, "changed 2 2"]:
-        """All edges that are of one boundary alone."""
+        """The edges that are in one boundary only."""
         return np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
 
     @cached_property
@@ -72,15 +65,15 @@ class Change:
         return lo, hi
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Corners of boxes with a margin around the changed edges, one around those that hang together."""
+        """Return corners of boxes, with a margin, around each connected group of changed edges."""
         lo, hi = self._extents
         ends = zip(lo - margin, hi + margin, strict=True)
         return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """The triangulation after a change; None where rounding keeps new triangles from filling the gap."""
-    # 1. Triangles stay unless they have a wall that is gone, or meet an edge that is new.
+    """Return the triangulation after a change; None if rounding keeps new triangles from filling the gap."""
+    # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
     segments = change.new.segments[change.is_new]
@@ -97,11 +90,11 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)
     has_triangle[wall[half_kept & (wall >= 0)]] = True
-    # 2. The gap lies between new walls, those that lost their triangles, and what triangles that stay look out by.
+    # 2. Triangulate the gap. It is bounded by walls without a kept triangle, and by sides of kept triangles.
     vertex = change.vertex[old.origin]
     rims = np.flatnonzero(~half_kept & (old.twin >= 0) & half_kept[old.twin])
     walls = np.flatnonzero(~has_triangle)
-    edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[after(rims)]], axis=1)])
+    edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[next_half_edge(rims)]], axis=1)])
     if (edges < 0).any():
         return None
     local, ends = np.unique(edges, return_inverse=True)
@@ -113,7 +106,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         return None
     if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):
         return None
-    # 3. Half-edges that stay, then those that fill the gap, joined along the rims.
+    # 3. Concatenate kept half-edges and those of the gap, and link them along the rims.
     kept_half = np.flatnonzero(half_kept)
     number = np.full(len(half_kept), -1)
     number[kept_half] = np.arange(len(kept_half))
@@ -134,21 +127,21 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
 
 
 GoalView: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "_"]]
-"""What a goal sees: its visibility polygon, and the corners that it may see."""
+"""The visibility polygon of a goal, and the corners that it may see."""
 
 
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """What the corners of a workspace and a goal see after a change, of which its triangulation knows."""
+    """Update what corners and a goal see after a change; the workspace has its new triangulation."""
     corners, views = find_corners(workspace)
-    # 1. The old corner that each new one is, between the same walls.
+    # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
     of_vertex, is_kept = np.full(len(boundary.vertices), -1), change.vertex >= 0
     of_vertex[change.vertex[is_kept]] = old.of_vertex[is_kept]
     before = np.full(len(views.points), -1)
     before[views.owner] = of_vertex[boundary.edges[views.edge, 0]]
-    # All sectors that either looks into open and close at edges of both.
+    # All sectors of both must open and close at equal edges.
     stays = np.zeros(len(boundary.edges), bool)
     old_edge = np.flatnonzero(change.edge >= 0)
     end = change.vertex[change.old.sector_end[old_edge]]
@@ -159,23 +152,25 @@ def changed_visibility(
     old_counts = np.bincount(old.views.owner, minlength=len(old.views.points))
     differs |= counts != np.append(old_counts, 0)[before]
     same = np.where(differs, -1, before)
-    # 2. Corners that may see a change look anew, and the goal if it may.
-    before = np.where(np.append(_may_see(old.table, change), True)[same], -1, same)
-    goal_looks = bool(_may_see(of_goal[0], change)[0])
+    # 2. Recompute what corners see that may see a change, and what the goal sees if it may.
+    before = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
+    goal_looks = bool(_may_see_change(of_goal[0], change)[0])
     kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
     looking = views[looks]
     if goal_looks:
         points, owner = np.concatenate([looking.points, goal.points]), goal.owner + len(looks)
         looking = Viewpoints(points, np.append(looking.owner, owner), np.append(looking.edge, goal.edge))
     found, (view, vertex) = visibility_of(workspace.triangulation, looking)
-    table = _spliced([_Views(old.table, before[kept], kept), _Views(found, np.arange(len(looks)), looks)], change)
+    table = _splice(
+        [_ViewSelection(old.table, before[kept], kept), _ViewSelection(found, np.arange(len(looks)), looks)], change
+    )
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     goal_table, goal_row = (found, len(looks)) if goal_looks else (of_goal[0], 0)
     now = np.full(len(old.corners.points), -1)
     now[same[same >= 0]] = np.flatnonzero(same >= 0)
     goal_corners = seen[view == len(looks)] if goal_looks else now[of_goal[1]]
-    new = _spliced([_Views(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
-    # 3. Pairs of corners of which both stay are what they were; of the others one has looked anew.
+    new = _splice([_ViewSelection(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
+    # 3. Keep the edges between unchanged corners; the others involve a recomputed corner.
     number = np.full(len(old.corners.points), -1)
     number[before[kept]] = kept
     edges = number[old.edges]
@@ -186,38 +181,33 @@ def changed_visibility(
     back = np.flatnonzero(before[seen] >= 0)
     back = back[table.sees(seen[back], corners.points[view[back]])]
     view, seen = np.append(view, seen[back]), np.append(seen, view[back])
-    edges = np.concatenate([edges, joined_pairs(corners, view, seen)])
+    edges = np.concatenate([edges, mutually_visible_pairs(corners, view, seen)])
     size = np.int64(max(1, len(corners.points)))
     keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
     return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
 
 
-def _may_see(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
-    """Which viewpoints name a changed edge, or may see one: not all walls that they see towards it are nearer."""
+def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
+    """Return which viewpoints see a removed edge, or may see the bounding box of a change."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
     for box in change.boxes(table.tolerance):
         rest = np.flatnonzero(~sees)
-        sees[rest[may_see(table, rest, box)]] = True
+        sees[rest[may_see_polygons(table, rest, box)]] = True
     return sees
 
 
-def may_see(
+def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Whether viewpoints may see some of convex polygons: not all walls that they see towards these are nearer.
-
-    Args:
-        table: What viewpoints see.
-        view: The viewpoints.
-        hull: Corners of the polygon, of all of them or of each.
-    """
+    """Return whether each viewpoint may see a convex polygon: not if every wall in its direction is closer."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
     angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
-    # From outside it is seen in all but the widest gap between directions of its corners, of half a turn or more.
+    # From outside, the polygon spans all directions but the widest gap between its corners, which is at least half a
+    # turn. If no gap is that wide, the viewpoint is inside.
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
     each, widest = np.arange(len(view)), gap.argmax(axis=1)
     first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]
@@ -233,21 +223,21 @@ def may_see(
     edge, number = table.edge[begin[run] + place], number[run]
     normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
     height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
-    # The walls in directions of some of it, of which a corner of it is above; -1 where the viewpoint does not look.
+    # The polygon may be visible if one of its corners lies in front of a wall in its direction.
     is_around[number[(edge >= 0) & (height.max(axis=1) >= offset)]] = True
     return is_around
 
 
-class _Views(NamedTuple):
-    """Some viewpoints of a table, and the place in another one that each comes to."""
+class _ViewSelection(NamedTuple):
+    """Selected viewpoints of a table, and the index of each in the result."""
 
     table: VisibilityTable
     which: Int[np.ndarray, "views"]
     place: Int[np.ndarray, "views"]
 
 
-def _spliced(parts: Sequence[_Views], change: Change) -> VisibilityTable:
-    """Visibility polygons of some viewpoints of tables, of the old boundary or the new one, each at its new place."""
+def _splice(parts: Sequence[_ViewSelection], change: Change) -> VisibilityTable:
+    """Return one table of selected viewpoints, with the indices of the new boundary."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

@@ -1,7 +1,6 @@
-"""Convex pieces of a region in the plane, many at once: cut, measured, and how cones differ over them.
+"""Arrays of convex pieces of the plane: clipping, measures, and extremes of differences of cones over them.
 
-All of them stand in one array, coordinate by coordinate, a piece a row, its corners counterclockwise. A piece of
-fewer corners than rows have room for repeats its last one.
+Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
 """
 
 from typing import TypeAlias
@@ -15,17 +14,13 @@ Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 PartIndex: TypeAlias = Int[np.ndarray, "parts"]
 PartSide: TypeAlias = Bool[np.ndarray, "parts"]
 PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
-ROOM = 8
-"""Corners of a triangle cut by a box, at most 7, and one more."""
+ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clipping needs one more
 
 
 def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
-    """What of each piece lies where a linear function, given at its corners, is not below zero.
-
-    Pieces must reach above zero; what touches it alone becomes a piece without area.
-    """
-    inside = height >= 0
-    after = following(height)
+    """Return the part of each piece where a linear function, given at the corners, is at least 0."""
+    inside = height >= 0  # somewhere in each piece, by assumption
+    after = next_corner(height)
     crosses = inside != (after >= 0)
     share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
     repeats = np.zeros(inside.shape, bool)
@@ -37,7 +32,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
     result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
-        met = along + share * (following(along) - along)
+        met = along + share * (next_corner(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
         clipped[row, place] = points[row, column]
         clipped[:] = np.take_along_axis(clipped, last, axis=1)
@@ -45,7 +40,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
 
 
 def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
-    """A point inside each piece: the mean of its corners, wherever they begin and however often one is repeated."""
+    """Return a point inside each piece: the mean of its distinct corners."""
     new = np.ones(pieces.shape[1:], bool)
     new[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
     new[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
@@ -54,13 +49,13 @@ def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
 
 
 def areas(pieces: Pieces) -> Float[np.ndarray, "pieces"]:
-    """Area of each piece."""
+    """Return the area of each piece."""
     x, y = pieces - pieces[:, :, :1]
     return (x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1) / 2
 
 
 def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n room"]:
-    """Boxes as pieces."""
+    """Return boxes as pieces."""
     corner = np.minimum(np.arange(ROOM), 3)
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)[:, corner]
     y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)[:, corner]
@@ -70,7 +65,7 @@ def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) 
 def contain(
     pieces: Pieces, points: Float[np.ndarray, "pieces k 2"], tolerance: float
 ) -> Bool[np.ndarray, "pieces k"]:
-    """Whether each piece holds its points, ``k`` each, to the tolerance."""
+    """Return whether each piece contains its ``k`` points, to the tolerance."""
     near = np.ones(points.shape[:2], bool)
     for along, at in zip(pieces, np.moveaxis(points, 2, 0), strict=True):
         near &= at >= lowest(along)[:, None] - tolerance
@@ -78,7 +73,7 @@ def contain(
     piece, place = np.nonzero(near)
     (x, y), (px, py) = pieces[:, piece], points[piece, place].T
     inside = np.ones(len(piece), bool)
-    for corner in range(x.shape[1]):  # NumPy is slow where the last axis is short
+    for corner in range(x.shape[1]):  # NumPy is slow along a short last axis
         start_x, start_y = x[:, corner - 1], y[:, corner - 1]
         ex, ey = x[:, corner] - start_x, y[:, corner] - start_y
         inside &= ex * (py - start_y) - ey * (px - start_x) >= -tolerance * np.sqrt(ex * ex + ey * ey)
@@ -97,20 +92,10 @@ def cut_parts(
 ) -> tuple[
     Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
 ]:
-    """What of cells' pieces lies in parts of the cells: in boxes, each cut from a cell along one axis.
-
-    Args:
-        pieces: Pieces of cells, cell by cell.
-        first_piece: First piece of each cell, and their number.
-        parent: The cell that each part is cut from.
-        axis: The axis along which it is.
-        is_upper: Whether it is the upper part of the cell along this axis, or the lower one.
-        lo: Lower corners of the parts.
-        hi: Upper corners.
+    """Cut the pieces of cells to parts of the cells: boxes, each cut from its ``parent`` cell across one axis.
 
     Returns:
-        The pieces, part by part, those that a cut leaves no area of perhaps among them; the part of each; the piece
-        that it was; and whether it was cut.
+        The pieces, sorted by part, possibly some of area 0; the part of each; its original piece; whether it was cut.
     """
     rows, part = take_ragged(first_piece, parent)
     along, upper = axis[part], is_upper[part]
@@ -127,7 +112,7 @@ def cut_parts(
 def clip_to_boxes(
     pieces: Pieces, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
 ) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
-    """Return the parts of the pieces in each box, box by box; the box of each part, and the piece that it was."""
+    """Return the parts of pieces inside boxes, sorted by box; the box and the original piece of each part."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     box, rows = np.nonzero((x0 < hi[:, :1]) & (x1 > lo[:, :1]) & (y0 < hi[:, 1:]) & (y1 > lo[:, 1:]))
     pieces = pieces[:, rows]
@@ -141,31 +126,31 @@ def clip_to_boxes(
     return pieces[:, some], box[some], rows[some]
 
 
-def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
-    """What belongs to the next corner."""
+def next_corner(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
+    """Return the value at the next corner, for each corner."""
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)
 
 
 def lowest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
-    """The least value of each piece, found corner by corner: NumPy is slow where the last axis is short."""
+    """Return the least value of each piece, in a layout that is fast in NumPy."""
     return np.ascontiguousarray(values.T).min(axis=0)
 
 
 def highest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
-    """The largest value of each piece, as :func:`lowest`."""
+    """Return the largest value of each piece, in a layout that is fast in NumPy."""
     return np.ascontiguousarray(values.T).max(axis=0)
 
 
-# Extremes of the difference of two cones, or of a cone and a plane, over convex pieces of the plane.
+# Extremes over a piece of the difference of two cones ``offset + |x - apex|``, or of a cone and a plane.
 #
-# A cone is ``offset + |x - apex|``. The difference of two has its extremes over a piece on the piece's boundary:
-# inside, its gradient, a difference of unit vectors, vanishes only on the line through both apexes beyond them, along
-# which the difference does not change. On an edge it is stationary where both apexes are seen at one angle. A cone
-# minus a plane is convex: it is largest at a corner, and smallest on an edge or at the apex.
+# Two cones: the extremes lie on the boundary. The gradient of the difference, a difference of unit vectors, vanishes
+# only on the line through both apexes outside of their segment, where the difference is constant. On an edge the
+# difference is stationary where both apexes appear at the same angle to the edge.
+# A cone and a plane: the difference is convex, so largest at a corner, and smallest on an edge or at the apex.
 
 
-_CORNERS_OF_BOX = 4  # most pieces are boxes: those of more corners are apart
-_AT_ONCE = 1 << 11  # pieces, whose numbers stay in a core's cache
+_CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
+_AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache
 
 Numbers: TypeAlias = Float[np.ndarray, "pieces"]
 Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
@@ -174,10 +159,7 @@ Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Smallest and largest value of the first cone minus the other one, over each piece.
-
-    In double precision, to within its rounding: about 1e-15 of the coordinates.
-    """
+    """Return the smallest and largest value of the first cone minus the second over each piece, up to rounding."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -189,14 +171,13 @@ def difference_of_cones(
 
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbers, Numbers]:
-    """Smallest and largest difference of the distances to two points, over each piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
     beside_a, beside_b = np.abs(ax * ey - ay * ex), np.abs(bx * ey - by * ex)
     apart = beside_b - beside_a
     place = np.divide(beside_b * along_a - beside_a * along_b, apart, out=np.zeros_like(apart), where=apart != 0)
-    place = np.minimum(np.maximum(place, 0), length)  # where it is an end, it is a corner
+    place = np.minimum(np.maximum(place, 0), length)
     to_a = np.sqrt((place - along_a) ** 2 + beside_a * beside_a)
     on_edges = to_a - np.sqrt((place - along_b) ** 2 + beside_b * beside_b)
     at_corners = np.sqrt(ax * ax + ay * ay) - np.sqrt(bx * bx + by * by)
@@ -206,16 +187,13 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbe
 def cone_above_plane(
     pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Smallest and largest value of a cone minus a plane ``slope . x + intercept``, over each piece.
-
-    In double precision, to within its rounding.
-    """
+    """Return the smallest and largest value of a cone minus a plane ``slope . x + intercept`` over each piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)
     at_corners = np.sqrt(ax * ax + ay * ay) - (sx * ax + sy * ay)
     along, beside = -(ax * ex + ay * ey), np.abs(ax * ey - ay * ex)
-    rate = np.clip(sx * ex + sy * ey, -1, 1)  # of the plane on the edge; where it is steeper, an end is lowest
+    rate = np.clip(sx * ex + sy * ey, -1, 1)  # slope along the edge; if it is steeper, the minimum is at an end
     steep = np.sqrt(1 - rate * rate)
     place = along + np.divide(rate * beside, steep, out=np.where(rate > 0, np.inf, -np.inf), where=steep > 0)
     np.clip(place, 0, length, out=place)
@@ -227,10 +205,7 @@ def cone_above_plane(
 
 
 def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
-    """Corners, the unit vector along each edge, any where it has no length, and its length.
-
-    Corner by corner, as NumPy is fast along pieces, of which there are many; what all of them repeat is left out.
-    """
+    """Return corners, unit vectors along edges, and their lengths, with axes (corners, pieces)."""
     x, y = pieces.transpose(0, 2, 1)
     new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
     count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1

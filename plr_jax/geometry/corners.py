@@ -1,4 +1,4 @@
-"""The corners at which shortest paths turn: what each sees, which join, and where paths to one goal turn first."""
+"""The corners at which shortest paths turn, what they see, and where paths to one goal turn first."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_of_some
+from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import Places, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
@@ -17,13 +17,11 @@ from plr_jax.geometry.workspace import Workspace
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
-    """Points that shortest paths run through: corners that stick out into free space, and what turns like them.
+    """Corners of free space at which shortest paths can turn.
 
-    Args:
-        points: The corners, ``(corners, 2)``.
-        walls: Unit vectors along the walls with which each corner's free sector opens, counterclockwise, and
-            closes, ``(2, corners, 2)``; zero for what may be turned around on any side: the goal, and the point
-            contacts of a workspace with ``squeeze``.
+    Attributes:
+        walls: Unit vectors along the walls at which each corner's free sector opens, counterclockwise, and closes;
+            zero for points that a path can turn around on any side: the goal, and point contacts with ``squeeze``.
         slack: How far on the wrong side of a line through a corner a point may lie.
     """
 
@@ -32,35 +30,35 @@ class ReflexCorners:
     slack: float
 
     def with_goal(self, goal: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """The goal first, then the corners: the vertices of a graph whose paths lead to vertex 0."""
+        """Return the corners with the goal in front, as vertex 0."""
         points = np.concatenate([goal[None], self.points])
         return ReflexCorners(points, np.concatenate([np.zeros((2, 1, 2)), self.walls], axis=1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """The corners that are elsewhere."""
+        """Return the corners that differ from a point."""
         other = (self.points != point).any(axis=1)
         return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
 
     def is_tangent(
         self, corner: Int[np.ndarray, "*#batch"], other: Int[np.ndarray, "*#batch"]
     ) -> Bool[np.ndarray, "..."]:
-        """Whether the line from each corner to another one has both walls of the former on one side.
+        """Return whether both walls of each corner lie on one side of the line from it to another corner.
 
-        Any other line cuts off a part of the obstacle there, so no shortest path turns there to go along it.
+        Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         """
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(
         self, corner: Int[np.ndarray, "*#batch"], x: Float[np.ndarray, "*#batch 2"]
     ) -> Bool[np.ndarray, "..."]:
-        """The same for the line from each corner to a point."""
+        """Return whether both walls of each corner lie on one side of the line from it to a point."""
         x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
         return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
-    """Reflex corners of free space and, where squeezing is allowed, point contacts; and the sectors they see."""
+    """Return the reflex corners of free space (and point contacts with ``squeeze``), and the same as viewpoints."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -75,14 +73,9 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """What the corners of a workspace see.
+    """The corners of a workspace, the same as viewpoints, their visibility polygons, and the visibility graph.
 
-    Args:
-        corners: The corners.
-        views: The same as viewpoints.
-        table: Their visibility polygons.
-        edges: Corners that see one another, each pair once, ``(edges, 2)``. Left out are those whose line cuts
-            off a part of the obstacle at both: a shortest path bends around neither, so it goes on at neither.
+    ``edges`` lists pairs of corners that see one another, except lines that are tangent at neither end.
     """
 
     corners: ReflexCorners
@@ -97,53 +90,50 @@ class CornerVisibility:
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
-    """What the corners of a workspace see, found once for all goals."""
+    """Compute what the corners of a workspace see, which is independent of goals."""
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     other = (seen >= 0) & (seen != view)
-    return CornerVisibility(corners, views, table, joined_pairs(corners, view[other], seen[other]))
+    return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[other], seen[other]))
 
 
-def joined_pairs(
+def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners, each once, of which both see one another and a shortest path may turn at one."""
+    """Return each pair of corners once that see one another and whose line is tangent at one of them."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
-    # Both must see one another: a corner where obstacles touch may be seen from sectors that it does not look into.
+    # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
     size = np.int64(len(corners.points))
-    pair = _distinct(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
+    pair = _sorted_unique(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
     both = pair[1:][pair[1:] == pair[:-1]]
     return np.stack(np.divmod(both, size), axis=1)
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
-    """The corner at each vertex of a boundary, of corners as viewpoints; -1 where there is none."""
+    """Return the corner at each vertex of a boundary, -1 where there is none."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
 
 
-def _distinct(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
-    """As ``np.unique``, which hashes integers: that takes longer where most are distinct."""
+def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
+    """Return sorted distinct keys; faster than the hashing of ``np.unique`` if most keys are distinct."""
     keys = np.sort(keys)
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
 
 @dataclass(frozen=True, eq=False)
 class TurnPoints:
-    """The corners at which a shortest path to one goal can turn first, and the points it can come from.
+    """The corners at which a shortest path to one goal can turn first, and the cone of points from which it can come.
 
-    At such a corner the path bends around the obstacle. With the way onward given, that leaves the points
-    between the straight continuation and the far wall of the corner: those in front of two lines through it. Any
-    other path can be pulled tight, to turn elsewhere.
+    At such a corner the path bends around the obstacle. For a given path onward, it comes from between the straight
+    continuation and the far wall of the corner, that is, from in front of two lines. Other paths could be shortened.
 
-    Args:
-        vertex: Their indices, where the goal is vertex 0, ``(turns,)``.
-        points: The corners, ``(turns, 2)``.
-        distance: Their distances to the goal, ``(turns,)``.
-        normal: Normals of the lines through them, ``(2, turns, 2)``; zero where any point will do.
+    Attributes:
+        vertex: Indices of the corners, where the goal is vertex 0.
+        normal: Normals of the two lines through each corner; zero where any point is possible.
         slack: How far behind the lines a point may lie.
     """
 
@@ -155,13 +145,13 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """The cone of the points that come around each corner: directions of its right and left bound."""
+        """Directions of the right and left bound of each corner's cone."""
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Length of the path by way of each corner; NaN if it would not bend around the corner."""
+        """Return path lengths through each corner; NaN if the path would not bend around the corner."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -172,7 +162,7 @@ class TurnPoints:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The vertex that the shortest path from each point goes to first, -1 where it sees none, and its length."""
+        """Return the first vertex of the shortest path from each point, -1 if it sees none, and the path's length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]),
             len(x),
@@ -185,16 +175,13 @@ class TurnPoints:
 def find_turn_points(
     vertices: ReflexCorners, distances: Float[np.ndarray, "vertices"], parents: Int[np.ndarray, "vertices"]
 ) -> TurnPoints:
-    """The corners that bend a shortest path to the goal, with the points that come around them.
-
-    The goal is vertex 0; the parent of a vertex is the next one on the way there.
-    """
+    """Return the corners that bend shortest paths to the goal; the parent of a vertex is next on its path."""
     vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
     onward[(opens == 0).all(axis=1)] = 0.0
-    # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it is to
-    # the left of the way onward, the path comes around the opening wall, else around the closing one.
+    # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it lies to the left
+    # of the path onward, the path comes around the opening wall, else around the closing one.
     on_left = cross_product(onward, opens + closes) > 0
     side = np.where(on_left, 1.0, -1.0)[:, None]
     wall = np.where(on_left[:, None], opens, closes)
@@ -207,24 +194,12 @@ def find_turn_points(
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)
 
 
-# Where shortest paths to one goal turn first, triangle by triangle: the turn points that see some of each.
-#
-# A path that turns at a corner comes from a cone there, so expansion inside of these cones finds the triangles.
-
-
-_PAIRS = 1 << 18  # of a point and a turn point, held at a time
+_PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The turn points that see some of each triangle of free space, where paths come around them.
-
-    Args:
-        turns: The turn points.
-        triangulation: Of free space.
-        first: First entry of each triangle, and the number of entries, ``(triangles + 1,)``.
-        turn: Turn points by triangle, ``(entries,)``.
-    """
+    """Turn points that see a part of triangle ``t`` inside their cones: ``turn[first[t] : first[t + 1]]``."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -234,17 +209,9 @@ class TurnRegions:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], places: Places, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The vertex that the shortest path from each point goes to first, and the length of this path.
+        """Return the first vertex of the shortest path from each point, and its length; -1 and ``inf`` without one.
 
-        Points at vertices of the triangulation, where any number of triangles meet, try all turn points.
-
-        Args:
-            x: Points of free space, ``(n, 2)``.
-            places: Where they are.
-            sees: Whether points, by their numbers, see vertices.
-
-        Returns:
-            The vertices, -1 for points that see none, and the lengths, ``inf`` for these; ``(n,)`` each.
+        ``places`` are the same points, located. At a vertex, where many triangles meet, all turn points are tried.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
@@ -255,7 +222,7 @@ class TurnRegions:
             rows = point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
             lengths, vertices = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
-            pair, length[rows] = first_visible_of_some(
+            pair, length[rows] = first_visible_ragged(
                 lengths, counts[part], lambda at, pair, rows=rows, vertices=vertices: sees(rows[at], vertices[pair])
             )
             vertex[rows] = np.append(vertices, -1)[pair]
@@ -269,20 +236,17 @@ class TurnRegions:
 def views_by_triangle(
     triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]
 ) -> tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]:
-    """Where the viewpoints of each triangle begin, and these, of pairs of both of which some are repeated."""
+    """Group (view, triangle) pairs by triangle, without repetitions: first entry of each triangle, and views."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
-    triangle, view = np.divmod(_distinct(triangle * np.int64(count) + view), count)
+    triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
     return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
 
 
 def triangles_at(
     triangulation: Triangulation, places: Places
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Points, the first of each one's triangles and the number of these, and the one or two that hold each.
-
-    Points at vertices are left out.
-    """
+    """Return the points that are not at vertices, and the one or two triangles of each, with offsets."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

@@ -1,4 +1,4 @@
-"""Shortest ways: Dijkstra's algorithm over geometric graphs, and the shortest way whose first leg is free."""
+"""Shortest paths: Dijkstra's algorithm over geometric graphs, and the nearest of many points that is visible."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,19 +15,12 @@ from plr_jax._types import Points
 if TYPE_CHECKING:
     import networkx
 
-_CHUNK = 1 << 18  # pairs of a point and a way held at a time
+_CHUNK = 1 << 18  # lengths computed at a time
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points joined by straight edges, as long as the points are far apart.
-
-    Args:
-        vertices: Position of each vertex.
-        edges: The two ends of each edge, as indices of vertices. An edge is listed once, in either
-            direction. Ends may coincide: such an edge has length zero and still connects them.
-        measure: Length of an edge for each pair of ends, where it is not Euclidean.
-    """
+    """An undirected graph of points; each edge is listed once, and ``measure`` gives its length, if not Euclidean."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]
@@ -41,16 +34,16 @@ class Graph:
 
     @cached_property
     def adjacency(self) -> csr_array:
-        """Edge lengths as a symmetric sparse matrix; a stored zero is an edge of length zero."""
+        """Edge lengths as a symmetric sparse matrix; a stored 0 is an edge of length 0."""
         start, end = self.edges.T
-        # Both directions go in at once: adding a matrix to its transpose would drop the stored zeros.
+        # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
         rows, columns = np.concatenate([start, end]), np.concatenate([end, start])
         shape = (len(self.vertices), len(self.vertices))
         return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
         """Return the graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, edges with their length as ``weight``."""
-        import networkx  # takes a tenth of a second, and nothing else needs it
+        import networkx  # slow to import, and needed only here
 
         graph = networkx.Graph()
         graph.add_nodes_from((node, {"pos": tuple(place)}) for node, place in enumerate(self.vertices.tolist()))
@@ -59,19 +52,13 @@ class Graph:
 
 
 def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Return the length of the shortest path from one vertex to each, and the vertex before it on that path.
-
-    Where there is no path the length is ``inf`` and the vertex negative, as it is for the source.
-    """
+    """Return the distance of each vertex from a source, and its predecessor: ``inf`` and negative without a path."""
     distances, parents = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True)
     return distances, parents
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
-    """Return the path from a point by way of a vertex to the root of a shortest-path tree.
-
-    No two points of the path in a row are equal.
-    """
+    """Return the path from a point through a vertex to the root of a shortest-path tree, without repeated points."""
     vertices = [vertex]
     while (parent := int(parents[vertices[-1]])) >= 0:
         vertices.append(parent)
@@ -79,36 +66,34 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-# The search of a shortest way on: of many ways, the shortest whose first leg is free, found with few tests.
+# Candidates: a path from a point starts with a straight segment to one of many candidates, such as corners. The
+# functions below find the shortest path whose first segment is free, with few visibility tests.
 
 
 Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Visibility, for pairs of a point and a way, by index."""
+"""Visibility test of pairs: indices of points and indices of candidates."""
 
 
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """The shortest visible ways of each point, ``count`` of them.
-
-    Tests the shortest ways of every point, two at once (or ``count``, if that is more), then four times as many of
-    the next ones of those still short of some, and so on: it finds what a test of all pairs would find, with few
-    tests where the shortest are visible.
+    """Return the ``count`` best visible candidates of each point, and the path lengths through them.
 
     Args:
-        lengths: Length of each way from each point; NaN where there is none to test, ``inf`` where one leads
-            nowhere.
-        sees: Visibility.
-        count: How many ways to find for each point.
-        at_once: How many to test at first, and half of how much that grows by: 1 where tests are dear.
+        lengths: Path length from each point through each candidate, modified in place. NaN: not a candidate; ``inf``:
+            leads nowhere.
+        sees: Visibility test.
+        count: Number of candidates to find for each point.
+        at_once: Tests per point in the first round (at least ``count``); each round has ``2 * at_once`` times more.
+            Use 1 if tests are expensive.
 
     Returns:
-        The ways, shortest first, -1 where a point sees fewer; and their lengths, ``inf`` there.
+        The candidates, best first, -1 where a point sees fewer; and their lengths, ``inf`` there.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
     while pending.size and lengths.shape[1]:
-        # The columns of the smallest entries of each row, ascending, NaN last.
+        # Columns of the smallest entries of each row in ascending order, NaN last.
         rows = np.arange(len(lengths))[:, None]
         if num_tests < lengths.shape[1]:
             tests = np.argpartition(lengths, num_tests - 1, axis=1)[:, :num_tests]
@@ -133,7 +118,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """:func:`first_visible` of many points, whose lengths are computed for a run of points at a time."""
+    """Apply :func:`first_visible` with ``lengths(rows)`` computed for a slice of points at a time."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):
@@ -144,18 +129,13 @@ def first_visible_in_parts(
     return found, shortest
 
 
-def first_visible_of_some(
+def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The shortest visible way of each point, of different ways for each.
+    """Return the best visible candidate of each point, as an index of ``lengths`` (-1: none), and its length.
 
-    Args:
-        lengths: Length of each pair of a point and a way, those of one point after those of the other.
-        counts: Number of ways of each point.
-        sees: Visibility, of a point and a pair.
-
-    Returns:
-        The pairs, -1 where a point sees none; and their lengths, ``inf`` there.
+    ``lengths`` lists the path lengths through each point's candidates, point by point, and is modified in place;
+    ``counts`` are the numbers of candidates. ``sees`` tests indices of points and of ``lengths``.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

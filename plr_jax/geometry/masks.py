@@ -1,4 +1,4 @@
-"""The free pixels of a grid as polygons with holes: traced exactly, simplified within a tolerance, placed."""
+"""Conversion of the free pixels of a grid to polygons with holes: exact tracing, then simplification."""
 
 import math
 from dataclasses import dataclass
@@ -15,25 +15,22 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
-# The outline of the free pixels of a grid, exactly: rings of corners along the edges of pixels.
+# Tracing: the outline of the free pixels as closed rings of corners.
 #
-# Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are joined along edges
-# (4-connected), blocked ones at corners too (8-connected). Rings have free space on their left; what is beyond the
-# grid is blocked. Along a ring runs in ``x`` and in ``y`` take turns, so every vertex is a corner.
+# Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, others
+# 8-connected. Rings have free space on their left, and everything outside the grid is blocked. Horizontal and
+# vertical runs alternate along a ring, so every vertex is a corner.
 
 
-_MOST_CORNERS = 2**18
+_MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Closed rings of corners, one after another, each without its first corner again at its end.
+    """Closed rings of corners ``(x, y)``: ``points[start[r] : start[r + 1]]``, each listing its first corner once.
 
-    Attributes:
-        points: Corners ``(x, y)``, ``(n, 2)``.
-        start: Index of the first corner of each ring, and ``n`` at the end, ``(rings + 1,)``.
-        is_contact: Which corners are points in which free pixels touch, two rings or one ring twice, ``(n,)``.
+    ``is_contact`` marks corners in which free pixels touch; there two rings meet, or one ring twice.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -42,7 +39,7 @@ class PixelRings:
 
 
 def pixel_rings(free: Mask) -> PixelRings:
-    """The outlines of the free pixels of a grid; ``ValueError`` if they have too many corners."""
+    """Return the outlines of the free pixels; raise ``ValueError`` if they have too many corners."""
     padded = np.pad(free, 1)
     (lower_left, lower_right), (upper_left, upper_right) = (
         (rows[:, :-1], rows[:, 1:]) for rows in (padded[:-1], padded[1:])
@@ -51,29 +48,29 @@ def pixel_rings(free: Mask) -> PixelRings:
     is_corner = touches | (lower_left ^ lower_right ^ upper_left ^ upper_right)
     if (count := np.count_nonzero(is_corner)) > _MOST_CORNERS:
         raise ValueError(
-            f"The outline of the pixels has {count:,} corners, at most {_MOST_CORNERS:,} are read: smooth the "
+            f"The outline of the pixels may have at most {_MOST_CORNERS:,} corners, got {count:,}: smooth the "
             "picture, or drop its specks."
         )
     y, x = np.nonzero(is_corner)
-    # A contact is a corner twice: the run along x that ends there has the first, the one that begins the second.
+    # A contact is two corners: the end of one horizontal run, then the start of the next.
     twice = np.where(touches[y, x], 2, 1)
     is_contact = np.repeat(twice == 2, twice)
     is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), twice)) == 0))
     x, y = np.repeat(x, twice), np.repeat(y, twice)
-    # In the order of rows corners 0 and 1, 2 and 3, ... are the ends of runs along x; likewise of columns along y.
+    # In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs; in column order, of vertical runs.
     along_x = np.arange(len(x)) ^ 1
-    # A run that arrives from the left goes on around its pixel, which is free below it or above: down, or up.
+    # A ring turns around its free pixel: a run that arrives from the left goes down if the pixel is below, else up.
     goes_down = padded[y, x]
     columns = np.lexsort((is_second == goes_down, y, x))
     along_y = np.empty_like(columns)
     along_y[columns] = columns[np.arange(len(x)) ^ 1]
-    # Free space on the left: to the right along runs with free pixels above them.
+    # Free space is on the left, so rings go right along runs with free pixels above them.
     is_left_end = np.arange(len(x)) % 2 == 0
     right_of = x + np.where(is_left_end, 0, -1)
     free_above = padded[y + 1, right_of + 1]
     leaves_along_x = is_left_end == free_above
     follower = np.where(leaves_along_x, along_x, along_y)
-    # The cycles of followers one after another, each from its least corner on.
+    # Collect the cycles of followers, each from its smallest corner on.
     onward, order, start = follower.tolist(), [], []
     for first in range(len(onward)):
         if onward[first] < 0:
@@ -87,32 +84,26 @@ def pixel_rings(free: Mask) -> PixelRings:
     return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
 
 
-# PixelRings with fewer corners, none of which has moved by more than a tolerance, and nothing of which has met.
+# Simplification: outlines with fewer corners, within a tolerance, that touch nowhere else than the exact ones.
 #
-# A simplified outline is a chain of links between points of the exact one: its corners, and the middles of the steps
-# of staircases, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within
-# the tolerance of it, and it of that stretch. The longest are taken, one after the other. Links that would meet
-# others, or come near them, or go around another outline, are undone: there the outline is exact, so that what is
-# connected stays so, and what is apart.
+# A simplified outline is a chain of links between *stations* of the exact one: its corners, and the middles of the
+# steps of staircases, through which inclined walls are drawn. Each link and the stretch of outline that it replaces
+# are within the tolerance of one another. The longest possible links are taken greedily. Links that meet or come near
+# other links, or surround another ring, are undone: the outline stays exact there, so connectivity is preserved.
 #
 # References:
 #     H. Imai, M. Iri, "Polygonal approximations of a curve: formulations and algorithms", 1988; the longest link from
 #     a point, by wedges of directions: J. Sklansky, V. Gonzalez, Pattern Recognition 12, 1980.
 
 
-CLEARANCE = 0.25
-"""Pixels that links keep from one another, where they do not share an end."""
+CLEARANCE = 0.25  # pixels that links without a common end keep from one another
 
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Where links may begin and end, ring after ring: corners, middles of steps, and the first corner again.
+    """Possible ends of links, ring by ring: corners, middles of steps, and the first corner again.
 
-    Attributes:
-        points: The stations, ``(n, 2)``.
-        ring: Ring of each station, ``(n,)``.
-        is_corner: Which are corners, ``(n,)``.
-        end: Of each station the next one that a link cannot go beyond: a contact, or the last of its ring, ``(n,)``.
+    ``end`` is the next station that a link must not pass: a contact, or the last station of the ring.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -122,11 +113,11 @@ class _Stations:
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """The outlines with links that differ by less than a tolerance, in pixels, from what they replace."""
+    """Return outlines of links that differ from what they replace by less than a tolerance, in pixels."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
-    # The longest links are kept, one after the other from the first station of each ring.
+    # Take the longest links, one after the other from the first station of each ring.
     onward, kept = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
     for at in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
         kept.append(at)
@@ -144,11 +135,11 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """The stations of outlines, each ring from a contact on if it has one; and which stations are contacts."""
+    """Return the stations of outlines, and which are contacts; a ring with contacts starts at one."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
-    contacts = np.flatnonzero(outlines.is_contact)[::-1]  # the first of a ring is written last
+    contacts = np.flatnonzero(outlines.is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
     shift[ring[contacts]] = place[contacts]
     corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
     following = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
@@ -168,11 +159,11 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
     ends = np.flatnonzero(is_end)
     end = ends[np.minimum(np.searchsorted(ends, np.arange(len(source)), side="right"), len(ends) - 1)]
     end[last] = last
-    # An inclined wall is a staircase; a run that turns the same way at both ends is the end of a wall, or a bay.
+    # Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
     along = outlines.points[following] - outlines.points[corner]
     ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])
     turn = np.empty(len(ring))
-    turn[ahead] = np.sign(cross_product(along, along[ahead]))  # at the end of each run
+    turn[ahead] = np.sign(cross_product(along, along[ahead]))  # turn at the end of each run
     kept = np.ones(len(source), dtype=bool)
     kept[at + 1] = turn != turn[ahead]
     number = np.cumsum(kept) - 1
@@ -181,11 +172,10 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
-    """Of each station the farthest one along its ring that a link may go to: all corners between are near the link.
+    """Return the farthest station ahead that a link from each station may go to, near all corners between.
 
-    All stations look ahead at once, one more step each time. The corners passed narrow the directions that a link may
-    have to a wedge, of angles about that of the first corner beyond the tolerance; and a link is at least as long as
-    the farthest of them is away.
+    All stations advance together. The corners passed narrow the possible directions of a link to a wedge around the
+    first corner beyond the tolerance. A link must also be as long as the distance of the farthest of these corners.
     """
     points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
     begin = np.flatnonzero(stations.end > np.arange(len(points)))
@@ -216,25 +206,24 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
 
 
 def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """First and last station of each link."""
     kept = np.flatnonzero(is_kept)
     joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
     return kept[:-1][joined], kept[1:][joined]
 
 
 def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
-    """Which links are no stretch of the exact outline, and meet or come near another one or surround a ring."""
+    """Return which links deviate from the exact outline and meet or come near another link, or surround a ring."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
     near = _near(stations.points[np.stack([first, last], axis=1)])
-    if tolerance > 0.5:  # below, what is apart by a pixel cannot change sides
+    if tolerance > 0.5:  # with less, no link can pass to the other side of a ring
         near[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
     return is_inexact & near
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
-    """Which links come nearer than the clearance to another, or do so beyond an end that they have in common."""
+    """Return which links come nearer than the clearance to another one, beyond a common end if there is one."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
@@ -252,7 +241,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 def _surrounding(
     stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
 ) -> Bool[np.ndarray, "m"]:
-    """Which links have another ring between them and the outline that they replace."""
+    """Return which links have another ring between them and the outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -263,18 +252,13 @@ def _surrounding(
 
 
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
-_LEAST_PIXEL = 8e3  # roundings of its side: the tolerance of a workspace is 1e3, a wall a quarter of a pixel at least
+_LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 
 
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
-    """The free pixels of a grid as a Shapely MultiPolygon; the arguments are those of ``Workspace.from_mask``.
-
-    Raises:
-        ValueError: If an argument is none of those described there, no pixel is free, or the outline has too many
-            corners.
-    """
+    """Return the free pixels of a grid as a Shapely MultiPolygon, as :meth:`Workspace.from_mask` describes it."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -290,59 +274,54 @@ def placed_region(
         raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
     yaw = pose[2] if len(pose) == 3 else 0.0
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    # In one order, so that contacts, of which there are two, are placed alike.
+    # The product is computed in a fixed order, so that both corners of a contact get the same place.
     return shapely.transform(
         region_of_mask(free, tolerance), lambda points: pose[:2] + product_in_order(resolution * points, turn)
     )
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:
-    """A placed region with each vertex rounded to a grid, as ``shapely.set_precision`` does in more time.
+    """Round each vertex of a placed region to a grid, faster than ``shapely.set_precision``.
 
-    That looks for edges that rounding lets meet. Here none do: two that do not share an end are a quarter of a pixel
-    apart, the other ends of two that share one as far from either; and a vertex moves by less than a thousandth.
+    That also looks for edges that meet after rounding. Here none can: edges keep a quarter of a pixel from one
+    another, and vertices move by less than a thousandth.
     """
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
-    """Refuse pixels that coordinates of double precision cannot tell apart where the grid lies."""
+    """Raise ``ValueError`` if pixels are too small for double precision at their distance from the origin."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:
         raise ValueError(
-            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got pixels of side {resolution:g} as far out "
-            f"as {reach:g}: choose a larger unit."
+            f"A workspace must have coordinates up to {LARGEST_COORDINATE:g}, got pixels of side {resolution:g} as "
+            f"far out as {reach:g}: choose a larger unit."
         )
     least = _LEAST_PIXEL * rounding_at(size, reach)
     if resolution < least:
         raise ValueError(
-            f"resolution must be at least {least:.2g} at coordinates up to {reach:g}, which are no finer, got "
-            f"{resolution:g}: choose an origin nearer to zero, or check the unit of both."
+            f"resolution must be at least {least:.2g} at coordinates up to {reach:g}, got {resolution:g}: choose an "
+            "origin nearer to zero, or check the units of both."
         )
 
 
 def as_mask(free: ArrayLike) -> Mask:
-    """Which pixels or cells are free, as a new array; ``ValueError`` if it is not of booleans, of two axes."""
+    """Return a copy of a 2-D boolean array; raise ``ValueError`` for anything else."""
     mask = np.array(free)
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
         raise ValueError(
-            f"free[row, column], rows along y, must be booleans of shape (rows, columns), such as picture > 127, got "
+            f"free[row, column], rows along y, must be booleans of shape (rows, columns), such as image > 127, got "
             f"{mask.dtype} of shape {mask.shape}{masked}.{advice_on_cells(mask) if mask.ndim == 3 else ''}"
         )
     return mask
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
-    """The free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest.
-
-    Args:
-        free: Which pixels are free.
-        tolerance: How far, in pixels, its outline may be from theirs, and theirs from it.
-    """
+    """Return the free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest."""
     outlines = pixel_rings(free)
-    # The number of the connected free pixels on the left of each ring.
+    # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)
     ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
@@ -351,7 +330,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     rings = simplified(outlines, tolerance)
     loops, ring = _simple_loops(rings)
     component = component[ring]
-    # Each component has one loop that runs counterclockwise, around it; the others are its holes.
+    # The one counterclockwise loop of a component is its shell; its other loops are holes.
     is_outer = shapely.is_ccw(loops)
     shells = loops[is_outer][np.argsort(component[is_outer])]
     holes, of = loops[~is_outer], component[~is_outer]
@@ -361,10 +340,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """The grid less components of at most so many pixels, and how many they are.
-
-    Blocked ones become free, and then free ones blocked.
-    """
+    """Remove blocked, then free components of at most ``num_pixels`` pixels; return the grid and their number."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
@@ -375,15 +351,14 @@ def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
 
 
 def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:
-    """The number of each pixel's connected component, from 1, and 0 for the other pixels."""
-    import scipy.ndimage  # which takes longer to import than most workspaces need
+    import scipy.ndimage  # slow to import, and most workspaces do not need it
 
     found: Any = scipy.ndimage.label(pixels, structure)
     return found[0]
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
-    """The rings as Shapely rings, cut where one meets itself; and which ring each is of."""
+    """Return the rings as Shapely rings, cut where one touches itself, and the original ring of each."""
     order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
     loop = ring.copy()
     num_loops = len(rings.start) - 1
@@ -401,7 +376,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
-    """The loops that a ring consists of, as indices of its points: each begins where the ring comes back to."""
+    """Split a ring into loops, as indices of its points, wherever it returns to a contact."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

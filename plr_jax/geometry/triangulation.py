@@ -1,7 +1,7 @@
-"""Constrained Delaunay triangulation of a region between its walls, and which triangle holds a point.
+"""Constrained Delaunay triangulation of a region, and exact location of points in its triangles.
 
-The Delaunay triangulation of the vertices (GEOS) lacks the walls that it crosses. Each is put in by taking out the
-triangles it crosses and filling the two polygons that are left, all decided in integers, that is, exactly.
+GEOS computes the Delaunay triangulation of the vertices, which may lack some walls. Each missing wall is inserted by
+removing the triangles that it crosses and filling the two polygons on its sides, in exact integer arithmetic.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,13 @@ from plr_jax._arrays import index_of, take_ragged
 from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
-# Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
-
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """Triangles by the cells of a grid.
+    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
 
-    Args:
-        lo: Lower corner of the grid, ``(2,)``.
-        width: Sides of a cell, ``(2,)``.
-        shape: Number of cells along each axis.
-        first: First entry of each cell, row by row, and the number of entries, ``(cells + 1,)``.
-        triangle: Triangles that meet each cell, ``(entries,)``.
-        lines: Inward unit normal of each side of a triangle, and its product with a point of the side,
-            ``(triangles, 3, 3)``.
+    ``lines`` holds, for each side of a triangle, its inward unit normal and the normal's product with a point of the
+    side.
     """
 
     lo: Float[np.ndarray, "2"]
@@ -43,9 +35,9 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The triangle that holds each point, or that it is nearest to of those that meet its cell, else -1.
+        """Return the triangle of each point, and the point's signed distance to the nearest side, positive inside.
 
-        And how far inside of all of its sides the point lies.
+        A point outside all triangles of its cell gets the one with the largest distance, or -1 if the cell has none.
         """
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
@@ -63,27 +55,20 @@ class Locator:
         return found, best
 
     def heights(self, triangle: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-        """How far inside of each side of a triangle a point lies."""
+        """Return the signed distances of points to the lines of a triangle's three sides, positive inside."""
         lines = self.lines[triangle]
         return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
 
 
-_FEW = 4  # points
-_MOST_STEPS = 100  # from triangle to triangle, of which one or two are needed
-_STEPS_INSIDE = 0, 1, 2, 4  # of the grid, from the foot of a point outside
-_BITS = 46
-"""Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
+_FEW = 4  # up to so many points, searching all triangles is faster than building a locator
+_MOST_STEPS = 100  # limit of the walk from triangle to triangle; one or two steps are usual
+_STEPS_INSIDE = 0, 1, 2, 4  # grid spacings by which a point on a wall is moved inside until a triangle contains it
+_BITS = 46  # bits of integer coordinates: they resolve the grid to which a workspace rounds
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Points of free space as geometry knows them.
-
-    Args:
-        x: The points, multiples of the grid.
-        triangle: A triangle that holds each.
-        on_side: Which sides of it the point lies on: two or three if it is a vertex.
-    """
+    """Points of the grid, a triangle that contains each, and whether the point lies on each side of that triangle."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]
@@ -95,14 +80,13 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Triangles that fill a region, as half-edges: three a triangle, in a row and counterclockwise.
+    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise.
 
-    Args:
-        boundary: The boundary of the region; its vertices are those of the triangles.
-        tolerance: How far outside of the region a point still counts as inside.
-        origin: The vertex at which each half-edge starts, ``(half_edges,)``.
-        twin: The same edge in the triangle on its other side, -1 at walls, ``(half_edges,)``.
-        wall: The edge of the boundary that a half-edge is, -1 inside of the region, ``(half_edges,)``.
+    Attributes:
+        tolerance: Points count as inside up to this distance from the region.
+        origin: The vertex at which each half-edge starts.
+        twin: The opposite half-edge in the adjacent triangle, -1 at walls.
+        wall: The edge of the boundary along each half-edge, -1 inside the region.
     """
 
     boundary: Boundary
@@ -113,7 +97,7 @@ class Triangulation:
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, "edges"]:
-        """The half-edge of each edge of the boundary."""
+        """The half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -121,9 +105,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """Which triangle holds a point."""
-        # A grid of about as many cells as triangles, each of which is listed in all cells that it meets, to the
-        # tolerance.
+        """A point locator, a grid of about as many cells as triangles; cells are grown by the tolerance."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -144,28 +126,24 @@ class Triangulation:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Which corners of triangles are points in which the region touches itself."""
+        """Whether each corner of a triangle is a vertex where the region touches itself."""
         return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
 
     @cached_property
     def grid(self) -> float:
-        """Vertices are multiples of it, and so are points before anything is asked of them."""
+        """Grid spacing: all vertices, and all points when they are located, are multiples of it."""
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Points, rounded to the grid."""
+        """Round points to the grid."""
         return self.grid * np.rint(x / self.grid)
 
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """The triangle that holds each point of the grid, and whether it is left (1) of each side, or on it (0).
+        """Find the triangle of each grid point exactly; for its sides, 1 if the point is inside, 0 on it, -1 outside.
 
-        Of a point outside of the region a triangle beside it, and -1 for the wall between.
-
-        Args:
-            x: The points.
-            triangle: Where they may be.
+        The walk starts at ``triangle`` if that is given. A point outside the region gets a triangle beside it.
         """
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
@@ -173,7 +151,7 @@ class Triangulation:
         elif len(x) > _FEW or "locator" in self.__dict__:
             triangle, height = self.locator.find(x)
             pending = np.flatnonzero(height <= self.tolerance)
-        else:  # before there is a locator, by a look at all triangles
+        else:
             sides = np.roll(self.triangles, -1, axis=1) - self.triangles
             triangle = np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
         for _ in range(_MOST_STEPS):
@@ -181,7 +159,7 @@ class Triangulation:
             sides = np.roll(corners, -1, axis=1) - corners
             away = x[pending, None] - corners
             turn[pending] = np.sign(orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1]))
-            # On through a side of which the point is on the other side, and which is no wall.
+            # Walk through a side that has the point on its other side and is not a wall.
             twin = self.twin.reshape(-1, 3)[triangle[pending]]
             side = np.where(twin >= 0, turn[pending], 0).argmin(axis=1)
             outside = turn[pending, side] < 0
@@ -193,15 +171,15 @@ class Triangulation:
         return triangle, turn
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "Places":
-        """Where points of free space are: on the grid, and on the nearest wall those that are free to the tolerance.
+        """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point as near to a point contact is that, so that it is on all of its sides.
+        A point within the tolerance of a point contact moves to the contact and counts as on all of its sides.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
-            # The foot on the nearest wall, or as near to it inside as the grid has a point.
+            # Move to the nearest point of the nearest wall, or to a grid point just inside of it.
             points: Any = shapely.points(given[outside])
             edge = boundary.tree.query_nearest(points, all_matches=False)[1]
             lines: Any = boundary.tree.geometries[edge]
@@ -224,18 +202,14 @@ class Triangulation:
         return Places(x, triangle, turn == 0)
 
     def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
-        """Whether free paths join points that keep within a tolerance of the segment between them.
+        """Return whether a free path joins each pair of points within a tolerance of the segment between them.
 
-        Args:
-            a: Where the segments start.
-            b: Where they end.
-            tolerance: The tolerance.
-            squeeze: Whether a path may pass through a point in which the region touches itself.
+        With ``squeeze`` a path may pass through point contacts; without, only end at them.
         """
-        # From triangle to triangle through sides that come within the tolerance of the segment, and around contacts.
+        # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)
-        around = np.argsort(contacts, kind="stable")  # half-edges from contacts, contact by contact
+        around = np.argsort(contacts, kind="stable")  # half-edges that start at contacts, sorted by contact
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
         before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
         while len(keys):
@@ -260,7 +234,7 @@ class Triangulation:
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
-        """The corners of each triangle, counterclockwise."""
+        """Corners of each triangle, counterclockwise."""
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
 
 
@@ -268,30 +242,27 @@ def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
     return shapely.linestrings(ends)
 
 
-def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """The next half-edge around the same triangle."""
+def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """Return the next half-edge of the same triangle."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
-def before(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """The half-edge before it around the same triangle."""
+def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """Return the previous half-edge of the same triangle."""
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 
 
 def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
-    """The constrained Delaunay triangulation of the region that a boundary encloses.
-
-    Raises:
-        ValueError: If walls cross one another.
+    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross.
 
     References:
         Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
     """
-    # Four vertices beyond them all, so that those of the region have triangles all around.
+    # 1. Add four vertices far outside, so that every vertex of the region is surrounded by triangles.
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
     vertices = np.concatenate([boundary.vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
-    # The Delaunay triangulation of the vertices, counterclockwise.
+    # 2. Compute the Delaunay triangulation of the vertices, with counterclockwise triangles.
     parts: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
     corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -302,7 +273,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     triangles = order[np.searchsorted(known, flat, sorter=order)]
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
-        # Walls that it lacks are put in one by one, decided in integers.
+        # 3. Insert the missing walls one by one, in integer arithmetic.
         offset = vertices - vertices.min(axis=0)
         unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
         mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)
@@ -311,7 +282,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
                 mesh.insert(start, end)
         triangles = np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
         if len(_crossed(triangles, boundary.edges, len(vertices))):
-            raise ValueError("Walls of the region cross one another.")
+            raise ValueError("Walls must not cross one another, but some do.")
     return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
 
 
@@ -326,13 +297,12 @@ def _half_edges(triangles: Int[np.ndarray, "triangles 3"]) -> Int[np.ndarray, "h
 def _crossed(
     triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"], num_vertices: int
 ) -> Int[np.ndarray, "crossed 2"]:
-    """The edges that are no edges of the triangles."""
     keys = _keys(_half_edges(triangles), num_vertices)
     return edges[index_of(keys, _keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
-    """A triangulation that can be changed: the third corner of the triangle on the left of each half-edge."""
+    """An editable triangulation: for each half-edge, the third vertex of the triangle on its left."""
 
     def __init__(self, points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"]):
         self.points = points
@@ -341,13 +311,13 @@ class _Mesh:
         self.neighbor = dict(self.apex.keys())
 
     def insert(self, start: int, end: int) -> None:
-        """Take out the triangles that an edge crosses, and fill what is left of it and what is right."""
-        # 1. Find the edge opposite of the start through which one leaves for the end.
+        """Insert an edge: remove the triangles that it crosses and fill the polygons on both sides."""
+        # 1. Find the triangle at the start through whose opposite edge the new edge leaves.
         right = self.neighbor[start]
         left = self.apex[start, right]
         while not (self._turn(start, right, end) >= 0 and self._turn(start, end, left) > 0):
             right, left = left, self.apex[start, left]
-        # 2. Take out the triangles on the way, and collect the vertices on either side of it.
+        # 2. Remove the crossed triangles and collect their vertices on each side of the edge.
         on_left, on_right = [left], [right]
         self._remove(start, right, left)
         while (ahead := self.apex[left, right]) != end:
@@ -359,12 +329,12 @@ class _Mesh:
                 right = ahead
                 on_right.append(ahead)
         self._remove(left, right, ahead)
-        # 3. Fill both sides.
+        # 3. Fill the polygons on both sides.
         self._fill(start, end, on_left[::-1])
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
-        """Delaunay triangles of the polygon on the left of an edge, whose other vertices are a chain from its end."""
+        """Fill the polygon between an edge and a chain of vertices on its left with Delaunay triangles."""
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()
@@ -372,7 +342,7 @@ class _Mesh:
                 continue
             best = 0
             for i in range(1, len(chain)):
-                # Whether the vertex lies inside the circle through three, which stand counterclockwise.
+                # In-circle test: does the vertex lie inside the circle through start, end and the best one so far?
                 dx, dy = self.points[chain[i]]
                 rows = [(x - dx, y - dy) for x, y in (self.points[each] for each in (start, end, chain[best]))]
                 (ax, ay), (bx, by), (cx, cy) = rows
@@ -390,7 +360,6 @@ class _Mesh:
             del self.apex[edge]
 
     def _turn(self, a: int, b: int, c: int) -> int:
-        """Positive if three points turn left."""
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
@@ -398,7 +367,7 @@ class _Mesh:
 def _inside(
     edges: Int[np.ndarray, "edges 2"], triangles: Int[np.ndarray, "triangles 3"], num_vertices: int
 ) -> tuple[Int[np.ndarray, "half_edges"], ...]:
-    """Origin, twin and wall of the half-edges between the walls: of triangles that are reached from a free side."""
+    """Return origin, twin and wall of the half-edges of triangles on the free side of walls."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
     wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)

@@ -1,4 +1,4 @@
-"""Vectors in the plane, many at once: products, normals, directions, distances, segments, arcs."""
+"""Vector operations in the plane on whole arrays: products, normals, directions, distances, segments, arcs."""
 
 from typing import TypeAlias
 
@@ -9,16 +9,16 @@ Scalars: TypeAlias = Float[np.ndarray, "*#batch"]
 
 
 def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
-    """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
+    """Return the cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
-_SPLIT = 2.0**27 + 1
-_DOUBT = 2.0**-50  # share of two products by which rounding may disturb their difference, and more
+_SPLIT = 2.0**27 + 1  # Dekker's constant, which splits a double into two halves of 26 bits
+_DOUBT = 2.0**-50  # relative rounding error of a difference of two products, with a margin
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.ndarray, "*batch"]:
-    """The cross product of vectors, whose sign is exact where coordinates are whole multiples of a 2^-45th of them.
+    """Compute cross products whose sign is exact for integers of at most 45 bits times one power of two.
 
     References:
         Dekker, "A floating-point technique for extending the available precision" (1971).
@@ -28,46 +28,43 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.
     doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
     if doubted.any():
         a, b, c, d = (np.broadcast_to(each, result.shape)[doubted] for each in (ux, vy, uy, vx))
-        result[doubted] += _lost(a, b) - _lost(c, d)
+        result[doubted] += _product_error(a, b) - _product_error(c, d)
     return result
 
 
-def _lost(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """What rounding takes from the product of two numbers."""
+def _product_error(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Return the rounding error of ``a * b``, by Dekker's product."""
     high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
 
 
 def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Each vector after a quarter turn to the left."""
+    """Rotate vectors by a quarter turn to the left."""
     return np.stack([-u[..., 1], u[..., 0]], axis=-1)
 
 
 def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """The unit vector a quarter turn to the left of each vector."""
+    """Return the unit vector a quarter turn to the left of each vector."""
     return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
 
 
 def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """A number in [0, 4] that grows with the direction's angle in [0, 2 pi], at the cost of a division.
-
-    It turns at between half and the full rate of the angle. The zero vector gives 0.
-    """
+    """Map directions to [0, 4], increasing with the angle, at rates from half to one; the zero vector gives 0."""
     length = np.abs(dx) + np.abs(dy)
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
     return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
 
 
 def distances_between(x: Float[np.ndarray, "n 2"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "n m"]:
-    """Straight distance of each of ``x`` to each of ``points``."""
+    """Return the distance between each of ``x`` and each of ``points``."""
     length = np.square(x[:, :1] - points[:, 0])
     length += np.square(x[:, 1:] - points[:, 1])
     return np.sqrt(length, out=length)
 
 
 def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Float[np.ndarray, "*batch"]:
-    """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    """Return the distance from the origin to each segment from ``(x, y)`` to ``(x + dx, y + dy)``."""
     x, y = nearest_on_segment(x, y, dx, dy)
     return np.sqrt(x * x + y * y)
 
@@ -75,14 +72,14 @@ def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Flo
 def nearest_on_segment(
     x: Scalars, y: Scalars, dx: Scalars, dy: Scalars
 ) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
-    """The point nearest to the origin on segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    """Return the point nearest to the origin on each segment from ``(x, y)`` to ``(x + dx, y + dy)``."""
     squared = dx * dx + dy * dy
     t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
     return x + t * dx, y + t * dy
 
 
 def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
-    """Angle in [0, 2 pi) by which ``u`` turns counterclockwise to ``v``."""
+    """Return the counterclockwise angle from ``u`` to ``v``, in [0, 2 pi)."""
     return np.asarray(np.arctan2(cross_product(u, v), (u * v).sum(axis=-1)) % (2 * np.pi))
 
 
@@ -92,10 +89,7 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
-    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``, as long as it.
-
-    They are the ends of equal chords, the first and last of them exact.
-    """
+    """Return the ends of equal chords of a counterclockwise arc from offset ``start`` to offset ``end``."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

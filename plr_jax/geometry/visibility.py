@@ -1,7 +1,7 @@
-"""What viewpoints see: their visibility polygons, found triangle by triangle, and one sorted table of them all.
+"""Visibility polygons of many viewpoints, computed by triangular expansion and stored in one sorted table.
 
-Around a viewpoint the same edge is nearest within an interval of directions, so a visibility polygon is a sorted list
-of directions with the nearest edge after each.
+Around a viewpoint the same edge is nearest within an interval of directions. So a visibility polygon is a sorted list
+of directions, each with the nearest edge of the interval that starts there.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,33 +13,30 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.geometry.boundary import Boundary, grid_at
-from plr_jax.geometry.triangulation import Triangulation, after, before
+from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
 
-# Triangular expansion: what viewpoints see, found by going from triangle to triangle inside their cones of sight.
+# Triangular expansion: cones of sight advance from triangle to triangle.
 #
-# A cone begins at a viewpoint, is bounded by the directions of two vertices, and looks out of a triangle through an
-# edge. If that is a wall, the cone ends there. If not, the corner of the next triangle parts it in two, one for each
-# edge on, unless the corner lies outside. The cones of many viewpoints advance together, so that the cost follows
-# what is seen.
+# A cone has its apex at a viewpoint, is bounded by the directions of two vertices, and leaves a triangle through an
+# edge. If the edge is a wall, the cone ends there. Otherwise the opposite corner of the next triangle splits the cone
+# in two, one for each exit edge, unless the corner lies outside the cone. Cones of many viewpoints advance together,
+# and the cost is proportional to what is seen.
 #
-# A corner on a bound counts as seen but parts no cone. This is exact, as vertices and viewpoints lie on a grid.
+# A corner on a bound counts as seen but does not split the cone. The tests are exact, since vertices and viewpoints
+# lie on a grid.
 
 
-_MOST = 1 << 18  # cones that advance at a time
+_MOST = 1 << 18  # cones that advance at a time, which limits memory
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points and the sectors they look into.
+    """Points of the grid, and the sectors they look into; a point without sectors looks all around.
 
-    Args:
-        points: The points, ``(views, 2)``, multiples of the grid of vertices: inside of free space, or exactly on its
-            boundary with sectors given.
-        owner: The point of each sector, ``(sectors,)``. A point without sectors looks all around.
-        edge: The edge of the boundary with which each sector opens, counterclockwise, ``(sectors,)``: one that leaves
-            the vertex where the point lies, or the one inside of which it lies.
+    Sector ``s`` belongs to point ``owner[s]`` and opens at the boundary edge ``edge[s]``, counterclockwise. The point
+    is the first vertex of that edge or lies in its interior.
     """
 
     points: Float[np.ndarray, "views 2"]
@@ -47,7 +44,6 @@ class Viewpoints:
     edge: Int[np.ndarray, "sectors"]
 
     def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
-        """Some of them."""
         place = np.full(len(self.points), -1)
         place[rows] = np.arange(len(place[rows]))
         kept = place[self.owner] >= 0
@@ -55,28 +51,28 @@ class Viewpoints:
 
     @property
     def looks_around(self) -> Bool[np.ndarray, "views"]:
-        """Which points look all around."""
+        """Whether each point looks all around."""
         return np.bincount(self.owner, minlength=len(self.points)) == 0
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """A vector from the point along the wall with which each sector opens."""
+        """Return a vector from the point along the wall at which each sector opens."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """A vector from the point along the wall with which each sector closes."""
+        """Return a vector from the point along the wall at which each sector closes."""
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
-        """Whether the point of each sector is the first vertex of its edge."""
+        """Return whether the point of each sector is the first vertex of its edge."""
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
-        """The vertex towards which each sector closes."""
+        """Return the other vertex of the wall at which each sector closes."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
 def viewpoint_at(triangulation: Triangulation, x: Float[np.ndarray, "2"]) -> Viewpoints:
-    """A point of free space as a viewpoint."""
+    """Return a point of free space, rounded to the grid, as a viewpoint."""
     boundary, place = triangulation.boundary, triangulation.place(x[None])
     edge = np.flatnonzero((boundary.vertices[boundary.edges[:, 0]] == place.x).all(axis=1))
     if not len(edge):
@@ -87,11 +83,7 @@ def viewpoint_at(triangulation: Triangulation, x: Float[np.ndarray, "2"]) -> Vie
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight: viewpoint, half-edge of the triangle they look out by, right and left bound as vectors.
-
-    Args:
-        vertex: The vertex in the direction of the right bound.
-    """
+    """Cones of sight: viewpoint, half-edge of exit, vertex in the direction of the right bound, bounds as vectors."""
 
     view: Int[np.ndarray, "n"]
     half_edge: Int[np.ndarray, "n"]
@@ -107,7 +99,7 @@ class _Cones:
         return _Cones(*of, self.right[:, rows], self.left[:, rows])
 
     def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
-        """Some of the cones, in less time than by an index: NumPy is slow where rows of an array are long."""
+        """Select cones with ``take``, which is faster than indexing on long rows."""
         of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)
         return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
@@ -115,19 +107,16 @@ class _Cones:
 def triangles_within(
     triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors
 ) -> Int[np.ndarray, "2 visits"]:
-    """Viewpoint and triangle of each pair of which one sees a part of the other inside of a cone, some repeatedly.
+    """Return pairs of a viewpoint and a triangle of which it sees a part inside a cone, some of them repeated.
 
-    Args:
-        triangulation: Of the region.
-        views: The viewpoints.
-        right: Direction of the right bound of the cone of each, a unit vector; zero for all that it looks into.
-        left: That of its left bound, at most half a turn from there.
+    ``right`` and ``left`` are unit vectors along the bounds of each viewpoint's cone, at most half a turn apart, or
+    zero for all that the viewpoint looks into.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
-    # Rounded directions are those of a wider cone, unless that leaves less than half a turn in rounding's reach.
+    # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
     right, left = far * right - wider[:, None] * turned_left(right), far * left + wider[:, None] * turned_left(left)
-    # The part of each cone that lies in the cone of its viewpoint.
+    # Intersect each cone of sight with the cone of its viewpoint.
     right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
     whole = ~right.any(axis=0)
     from_right = _inside(right, *bounds), _inside(cones.right, right, left)
@@ -144,35 +133,35 @@ def triangles_within(
 def _inside(
     u: Float[np.ndarray, "2 n"], right: Float[np.ndarray, "2 n"], left: Float[np.ndarray, "2 n"]
 ) -> Bool[np.ndarray, "n"]:
-    """Whether directions lie in closed cones of less than half a turn."""
+    """Return whether directions lie in closed cones of less than half a turn."""
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
 def _expansion(
     triangulation: Triangulation, views: Viewpoints, first: _Cones
 ) -> Iterator[tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]]:
-    """Step by step the cones that end at walls, and pairs of a viewpoint and a vertex, or a triangle, it sees."""
+    """Yield, step by step, cones that end at walls, visible (view, vertex) pairs, and (view, triangle) visits."""
     pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
     while pending:
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # Of the next triangles, the corner ahead may be seen, and may part the cone.
+        # The opposite corner of the next triangle may be seen, and may split the cone.
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
-        right_exit, left_exit = after(entry), before(entry)
+        right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)
         ahead = triangulation.origin[left_exit]
         x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
         from_right, from_left = orientation(rx, ry, x, y), orientation(x, y, lx, ly)
         seen = (from_right >= 0) & (from_left >= 0)
         goes_right, goes_left = from_right > 0, from_left > 0
-        goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
+        goes_right |= ~goes_left & (from_right >= from_left)  # every cone goes on at least one way
         goes_left |= ~goes_right
         parted = goes_right & goes_left
         right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
         onward = cones.take(np.concatenate([right, left]))
         onward.half_edge[:] = np.concatenate([right_exit.take(right), left_exit.take(left)])
-        # The corner ahead is the left bound of the right part, and the right bound of the left one.
+        # If the cone splits, the corner ahead is the left bound of the right part and vice versa.
         of_right, of_left = np.flatnonzero(parted.take(right)), np.flatnonzero(parted.take(left))
         middle, of_left = left.take(of_left), of_left + len(right)
         onward.vertex[of_left] = ahead.take(middle)
@@ -184,45 +173,38 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Cones that look out of the triangles at the viewpoints."""
     around = np.flatnonzero(views.looks_around)
     triangle, _ = triangulation.locate(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
     at_vertex = views.at_vertex(triangulation.boundary)
-    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (after, before)]
+    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
     half_edge, view = half_edge[at_vertex], view[at_vertex]
-    while len(view):  # from triangle to triangle around the vertex, to the wall at which the sector closes
-        found.append((view, after(half_edge)))
-        half_edge = triangulation.twin[before(half_edge)]
+    while len(view):  # turn around the vertex, triangle by triangle, to the wall at which the sector closes
+        found.append((view, next_half_edge(half_edge)))
+        half_edge = triangulation.twin[previous_half_edge(half_edge)]
         half_edge, view = half_edge[half_edge >= 0], view[half_edge >= 0]
     view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*found, strict=True))
-    right, left = triangulation.origin[half_edge], triangulation.origin[after(half_edge)]
+    right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
     vertices, points = triangulation.boundary.vertices, views.points[view]
     return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
-_VIEWS = 1 << 12  # that look around at a time
-_BLUR = 1e-14  # of a pseudo-angle
-_NARROW = 1e-3  # radians between sectors, in which there is room for a cut
+_VIEWS = 1 << 12  # viewpoints processed at a time
+_BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
+_NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityTable:
-    """Visibility polygons of viewpoints.
+    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``.
 
-    Row ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``. Directions are measured as a pseudo-angle
-    in [0, 4] from ``cut[v]``, a direction in which no vertex lies, so no polygon wraps around.
-
-    Args:
-        boundary: The boundary of free space, whose edges the rows name.
-        tolerance: That of the workspace. Vertices, viewpoints, and points that are asked for, lie on its grid.
-        points: The viewpoints, ``(views, 2)``.
-        cut: Unit vector from which the directions of each viewpoint are measured, ``(views, 2)``.
-        first: First row of each viewpoint, and the number of rows, ``(views + 1,)``.
-        key: ``4 v`` plus the pseudo-angle at which the row's interval starts, ascending, ``(rows,)``.
-        edge: The nearest edge in the interval; -1 where the viewpoint does not look, ``(rows,)``.
-        vertex: The vertex in whose direction the interval starts; -1 at the cut, ``(rows,)``.
+    Attributes:
+        tolerance: The tolerance of the workspace. Vertices, viewpoints and query points lie on its grid.
+        cut: Unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured.
+        key: ``4 v`` plus the pseudo-angle at which the row's interval of directions starts, ascending.
+        edge: The nearest boundary edge in the interval; -1 where the viewpoint does not look.
+        vertex: The vertex in the direction at which the interval starts; -1 at the cut.
     """
 
     boundary: Boundary
@@ -236,13 +218,13 @@ class VisibilityTable:
 
     @property
     def blur(self) -> float:
-        """By how much rounding may disturb keys, and more."""
+        """Upper bound of the rounding error of keys."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free.
+        """Return whether viewpoint ``v[i]`` sees point ``x[i]`` of free space.
 
-        A segment that grazes several corners may be reported as not seen; it is seen from the last of them.
+        If the segment between them grazes several corners, the answer may be False; the last corner sees the point.
         """
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
@@ -253,7 +235,7 @@ class VisibilityTable:
         seen = self._in_front(row, x)
         apart = np.abs(self.key[[row, np.minimum(row + 1, len(self.key) - 1)]] - key).min(axis=0)
         if len(near := np.flatnonzero(apart <= self.blur)):
-            # The interval that holds the direction, exactly; the one before as well if it is the direction between.
+            # Find the interval of the direction exactly; also test the previous one if the direction is its end.
             row, v, x, key = row[near], v[near], x[near], key[near]
             while (ahead := self._side_of_start(row + 1, v, x, key) >= 0).any():
                 row += ahead
@@ -270,7 +252,7 @@ class VisibilityTable:
         x: Float[np.ndarray, "n 2"],
         key: Float[np.ndarray, "n"],
     ) -> Float[np.ndarray, "n"]:
-        """Positive where directions to points, of some keys, are left of the start of an interval; 0 where on it."""
+        """Return where points lie beside an interval's start: positive left of it, 0 on it, negative right."""
         inside = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
         side[inside] = key[inside] - self.key[row[inside]]
@@ -280,7 +262,7 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether points are in front of the edges of intervals, or on them."""
+        """Return whether points lie in front of the edges of intervals, or on them."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
@@ -292,7 +274,7 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """The viewpoints of all tables, which are of one workspace and one at least, those of each after the others."""
+    """Concatenate the viewpoints of one or more tables of the same workspace."""
     views = np.cumsum([0] + [len(table.points) for table in tables])
     rows = np.cumsum([0] + [len(table.key) for table in tables])
     first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
@@ -309,11 +291,7 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 def visibility_of(
     triangulation: Triangulation, views: Viewpoints
 ) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
-    """What viewpoints see of the region that is triangulated.
-
-    Returns:
-        Their visibility polygons, and viewpoint and vertex of each pair that see one another, some repeatedly.
-    """
+    """Return the visibility polygons of viewpoints, and pairs (view, visible vertex), some repeated."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):
@@ -327,8 +305,8 @@ def visibility_of(
 def _look_around(
     triangulation: Triangulation, views: Viewpoints
 ) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
-    # 1. The cones that end at walls, which fill what viewpoints look into, and the vertices in sight. The corners of
-    #    the triangles at the viewpoints, the vertex at which one lies among them, are seen.
+    # 1. Collect the cones that end at walls and the visible vertices. The corners of the triangles at a viewpoint are
+    #    visible, among them the vertex at which it lies.
     boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]
@@ -337,8 +315,8 @@ def _look_around(
         seen.append(new_seen)
     columns = zip(*((of.view, of.half_edge, of.vertex, of.right, of.left) for of in ended), strict=True)
     cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
-    # 2. For each viewpoint a direction in which it sees no vertex. Of one with sectors the middle between the end of
-    #    its first one and the start of the next; of any other, or if that is narrow, the middle of the widest cone.
+    # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
+    #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
     closing = views.closes(boundary)
     opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
     order = np.lexsort((opens, views.owner))
@@ -358,15 +336,15 @@ def _look_around(
         widest = width.argmax()
         angle[view] = np.arctan2(ry[widest], rx[widest]) + width[widest] / 2
     cut = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # 3. Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on, where a
-    #    viewpoint sees what it does at the end of the turn.
+    # 3. Sort the intervals by key. There is one for each cone, one for each gap after a sector, and one from the cut
+    #    on, where a viewpoint sees the same edge as at the end of the turn.
     view = np.concatenate([cones.view, views.owner])
     (dx, dy), (cx, cy) = np.concatenate([cones.right, closing.T], axis=1), cut[view].T
     key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
     edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
     vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
     order = np.argsort(key)
-    # Directions that rounding does not tell apart are put in order exactly.
+    # Sort directions that are equal up to rounding exactly.
     close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(each))
     near = np.flatnonzero(close)
     while len(near):

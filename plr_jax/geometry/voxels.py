@@ -1,10 +1,9 @@
-"""Voxels of a box, in any dimension: where their faces are, which hold a point, how many of a range are blocked.
+"""Voxels of a box in any dimension: their faces, location of points, and counts of blocked voxels in ranges.
 
-Faces are the floats that ``Box.at`` gives, as it does for the cells of a partition: coordinates, floats as well, are
-compared with them without rounding, and what is said of touching is exact.
-
-Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``: number 0 is what lies below the bounds,
-and the last what lies above, all of it blocked. Arrays of numbers and coordinates have an axis of space first.
+Faces are the floats that ``Box.at`` returns, as for the cells of a partition. Coordinates are compared with them
+without rounding, so statements about touching are exact. Voxels are numbered from 1 along each axis, with face ``k``
+below voxel ``k``. Number 0 is everything below the bounds and the last number everything above, both blocked. Arrays
+of numbers and coordinates have the axis of space first.
 """
 
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
 
 _MOST_AXES = 4
-_LEAST_SIDE = 8e3  # roundings of coordinates, as of pixels
+_LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
 
 Coordinates = Float[np.ndarray, "dim n"]
 Numbers = Int[np.ndarray, "dim n"]
@@ -28,12 +27,7 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels that fill a box.
-
-    Attributes:
-        free: Which are free; read-only.
-        bounds: The box.
-    """
+    """Voxels that fill a box; ``free`` is read-only."""
 
     free: Bool[np.ndarray, "..."]
     bounds: Box
@@ -42,14 +36,8 @@ class VoxelGrid:
     def of(
         cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = range(1, _MOST_AXES + 1)
     ) -> "VoxelGrid":
-        """The voxels that arguments from outside mean; ``ValueError`` if they mean none.
-
-        Args:
-            free: Which voxels are free, booleans of as many axes as are allowed.
-            bounds: What they fill, or its corners; None: each has the sides 1, the first one its corner at 0.
-            axes: How many axes are allowed.
-        """
-        voxels = np.array(free, order="C")  # tables of it are flat
+        """Check arguments of users and return the grid; ``bounds`` of None mean voxels of side 1 from 0 on."""
+        voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
             masked = ", some masked" if np.ma.is_masked(free) else ""
@@ -67,7 +55,7 @@ class VoxelGrid:
                 f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
             )
         if box.is_periodic:
-            raise ValueError(f"Voxels fill bounds without periodic axes, got {box}.")
+            raise ValueError(f"The bounds of voxels must not have periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
         if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
             raise ValueError(
@@ -83,30 +71,30 @@ class VoxelGrid:
 
     @property
     def sides(self) -> Float[np.ndarray, "dim"]:
-        """Lengths of a voxel's sides, in units of the bounds."""
+        """Side lengths of a voxel, in units of the bounds."""
         return self.bounds.width / self.free.shape
 
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
-        """Where faces are along each axis, increasing; the first at minus infinity, the last at infinity."""
+        """Coordinates of the faces along each axis, ascending, with -inf in front and inf at the end."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
         return [np.concatenate([[-np.inf], each, [np.inf]]) for each in inner]
 
     @cached_property
     def padded(self) -> Bool[np.ndarray, "..."]:
-        """Which voxels are free, by their numbers."""
+        """Whether each voxel is free, by its numbers, including those outside the bounds."""
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """The voxels that hold points, along every axis the lower and the upper one: two for a point on a face."""
+        """Return the lower and upper voxel number of points along each axis; they differ for a point on a face."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
     def numbers_along(
         self, axis: int, x: Float[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """The same along one axis."""
+        """Return :meth:`numbers` along one axis."""
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]
@@ -118,18 +106,15 @@ class VoxelGrid:
         return Sums.of(~self.padded)
 
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """How many voxels from the first to the last along every axis, which may be before it, are blocked."""
+        """Count blocked voxels from ``first`` to ``last`` along every axis; ``last`` may precede ``first``."""
         return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
-        """The least ranges that hold all free voxels of ranges; nothing, the last before the first, if there is none.
-
-        Along every axis by bisection: from how many layers on there are free ones?
-        """
+        """Shrink ranges to the smallest ones with all their free voxels, possibly empty (``last < first``)."""
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
-                # Of the layers from an end on ``none`` hold no free voxel, and all but ``most`` may hold one.
+                # Bisection: at least ``none`` and at most ``most`` layers from this end have no free voxel.
                 none, most = np.zeros_like(first[axis]), np.maximum(last[axis] - first[axis] + 1, 0)
                 while len(rows := np.flatnonzero(none < most)):
                     num = (none[rows] + most[rows] + 1) // 2
@@ -145,25 +130,25 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
-        """Whether closed boxes touch edges or corners in which blocked voxels touch, so that no path passes there.
+        """Return whether closed boxes touch edges or corners at which blocked voxels touch, which no path can pass.
 
-        Around a point in such an edge there are free voxels of which no way leads to one another through faces.
+        Around a point of such an edge, free voxels are not connected through faces.
         """
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
             is_across = np.isin(np.arange(self.dim), across)[:, None]
-            # Of faces those from ``lo`` to ``hi``, counted from that above what is below; else open voxels.
+            # Across the contact's axes, count the faces from ``lo`` to ``hi``; along the others, open voxels.
             first, last = np.where(is_across, below_lo, above_lo), np.where(is_across, above_hi - 1, below_hi)
             touches |= contacts.within(first, last) > 0
         return touches
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Corners, edges and so on in which voxels touch, by the axes across which they do."""
+        """Edges, corners and so on at which voxels touch, by the axes across which they do."""
         found = []
         for num_across in range(2, self.dim + 1):
-            is_parted = parted_sets(num_across)
+            is_parted = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
                 around = np.zeros([n - (axis in across) for axis, n in enumerate(self.padded.shape)], np.uint16)
                 for bit, side in enumerate(product((0, 1), repeat=num_across)):
@@ -181,7 +166,7 @@ class VoxelGrid:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """How many entries of an array of booleans are true in any range of it, by a summed-area table.
+    """A summed-area table of a boolean array, which counts the true entries of any range.
 
     References:
         F. Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
@@ -192,14 +177,14 @@ class Sums:
 
     @classmethod
     def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
-        """The table of an array."""
+        """Build the table of an array."""
         table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
         for axis in range(array.ndim):
             np.cumsum(table, axis=axis, out=table)
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """How many are true from the first to the last along every axis; none where that is before the first."""
+        """Count the true entries from ``first`` to ``last`` along every axis; none if ``last`` precedes ``first``."""
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -211,7 +196,8 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Of the voxels around points, in the order of ``itertools.product``, those that some lead to through faces."""
+    """Extend sets of voxels around points to all free voxels that are connected to them through faces."""
+    # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
     live, free = live.reshape(shape).copy(), free.reshape(shape)
@@ -223,8 +209,8 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
     return live.reshape(flat)
 
 
-def parted_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Which sets of the voxels around a point, by the bits of numbers, hold some without a way to one another."""
+def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
+    """Return, for each set of voxels around a point (bits of its index), whether faces do not connect it."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

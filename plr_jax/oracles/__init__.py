@@ -1,4 +1,4 @@
-"""Room 1, discover: distance functions computed from an obstacle map, a roadmap or a grid, or in closed form."""
+"""Oracles: distances to a goal, computed on the host from a map, a roadmap, a grid, or in closed form."""
 
 from plr_jax.oracles._car import Dubins as Dubins
 from plr_jax.oracles._car import ReedsShepp as ReedsShepp

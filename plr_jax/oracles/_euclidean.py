@@ -1,4 +1,4 @@
-"""Straight-line distance."""
+"""Distances without obstacles, and the nearest of several goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances, Symm
 
 @dataclass(frozen=True, eq=False, init=False)
 class Euclidean:
-    """Straight-line distance to a goal, in any dimension, as if there were no obstacles.
+    """Straight-line distance to a goal, in any dimension, without obstacles.
 
     Args:
         goal: The goal, ``(dim,)``, finite.
@@ -24,54 +24,48 @@ class Euclidean:
 
     goal: Float[np.ndarray, "dim"]
     is_lower_bound: ClassVar[bool] = True
-    """True: no path of a robot whose reference point keeps to its free space is shorter."""
+    """True: no path of the robot's reference point is shorter."""
 
     def __init__(self, goal: ArrayLike):
         object.__setattr__(self, "goal", as_finite_point("The goal", goal))
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.goal.size
 
     @property
     def symmetries(self) -> tuple[Symmetry, ...]:
-        """Reflections along each axis, about the goal."""
+        """Reflections along each axis about the goal."""
         return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Distance of each point to the goal.
+        """Return the distance of each point to the goal.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
             Distances, ``(n,)``; ``inf`` for points with a coordinate that is not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         distance = np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
         return np.where(np.isnan(distance), np.inf, distance)
 
 
-# The nearest of several goals.
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class NearestGoal:
-    """Distance to the nearest of several goals, such as docks, and which one that is.
+    """Distance to the nearest of several goals, such as docks, and the index of that goal.
 
-    It is a distance function as others are, for ``construct``, whose PLR needs few bytes more for more goals, for
-    planners, ... Nothing can be proven of such a PLR. Inside ``jit`` the distances to all goals are
-    ``stack(plrs)(np.arange(n)[:, None], x)``, of which the least is the same.
+    It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs only a few
+    more bytes per additional goal, but cannot be certified. Inside ``jit``, ``stack(plrs)(np.arange(n)[:, None], x)``
+    gives the distances to all goals; take their minimum.
 
     Args:
-        distance_fns: A distance function a goal, of the same dimension: ``[first, *map(first.with_goal, others)]`` of
-            a ``VisibilityGraph``, a ``Roadmap`` or a ``GridGraph``, which share what is costly; or PLRs.
+        distance_fns: One distance function per goal, all of the same dimension. To share preprocessing, use
+            ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``, ``Roadmap`` or ``GridGraph``. PLRs
+            work too.
 
     Raises:
-        ValueError: If there are none, one is no function, or their dimensions differ.
+        ValueError: If the list is empty, contains anything but distance functions with ``dim``, or dimensions differ.
     """
 
     distance_fns: tuple[DistanceFn, ...]
@@ -81,41 +75,35 @@ class NearestGoal:
         fns = tuple(distance_fns) if isinstance(distance_fns, list | tuple) else ()
         if not fns or not all(isinstance(fn, DimensionedFn) for fn in fns) or len({fn.dim for fn in fns}) > 1:
             raise ValueError(
-                "NearestGoal needs a list of distance functions, such as VisibilityGraph or PLRs, one a goal, of the "
-                f"same dim, at least one, got {shortened(distance_fns)}."
+                "NearestGoal needs a list of distance functions, one per goal, such as VisibilityGraphs or PLRs of "
+                f"the same dim, got {shortened(distance_fns)}."
             )
         set_fields(self, distance_fns=fns, dim=fns[0].dim)
 
     @property
     def is_lower_bound(self) -> bool:
-        """Whether it is nowhere above the truth: if none of them is."""
+        """Whether the distance is nowhere above the true one, which is so if it holds for all goals."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Distance of each point to the nearest goal.
+        """Return the distance of each point to the nearest goal.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
             Distances, ``(n,)``; ``inf`` where no goal can be reached.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
         """
         return self._distances(x).min(axis=0)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """The goal that is nearest to each point.
+        """Return the index of the goal that is nearest to each point.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Numbers of goals, from 0 in their order, ``(n,)``: of equals the first, -1 where none can be reached.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+            Indices, ``(n,)``: the first of equally near goals, -1 where no goal can be reached.
         """
         distances = self._distances(x)
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
@@ -125,4 +113,4 @@ class NearestGoal:
         answers = np.array(
             [as_values(f"Distance function {i}", fn(x), len(x)) for i, fn in enumerate(self.distance_fns)]
         )
-        return np.where(np.isnan(answers), np.inf, answers)  # of a PLR at a point that is none
+        return np.where(np.isnan(answers), np.inf, answers)  # PLRs answer NaN at points with a NaN

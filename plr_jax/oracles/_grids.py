@@ -1,4 +1,4 @@
-"""Distances over grids: shortest paths from cell to cell, from voxel to voxel, and fields computed elsewhere."""
+"""Distances on grids: shortest paths over cells or voxels, and interpolated fields from other libraries."""
 
 from abc import ABC, abstractmethod
 from copy import copy
@@ -15,32 +15,26 @@ from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, 
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import as_mask
-from plr_jax.geometry.voxels import VoxelGrid, parted_sets
+from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
 
-_DISTANCES = 2**22  # of cells, held at a time
+_DISTANCES = 2**22  # distances of cells in memory at a time
 _OUTSIDE = -1
-_POINTS = 8192  # whose interpolation stays in the cache
-_AXES = {6: 1, 18: 2, 26: 3}  # along how many a step between voxels leads at once
-_ROUNDING = 1e-9  # share by which a bucket is narrower than the shortest step
+_POINTS = 8192  # points interpolated at a time, so that their arrays stay in the cache
+_AXES = {6: 1, 18: 2, 26: 3}  # number of axes along which a step may lead at once, by number of neighbors
+_ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the shortest step
 
 
 class _CellGraph(ABC):
-    """Free cells that are joined by steps, and the distances of all cells to a goal."""
+    """Free cells joined by steps, and the distance of every cell to a goal."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """The same cells with another goal.
-
-        Args:
-            goal: A point of a free cell, ``(dim,)``.
-
-        Returns:
-            The graph with this goal, sharing the steps.
+        """Return the same graph with another goal in a free cell, ``(dim,)``, sharing the steps.
 
         Raises:
-            ValueError: If the goal is in no free cell.
+            ValueError: If the goal is not in a free cell.
         """
         _ = self._steps  # computed once, for all copies
         graph: Any = copy(self)
@@ -49,17 +43,17 @@ class _CellGraph(ABC):
         return graph
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Length of a shortest path from the cell of each point to that of the goal.
+        """Return the length of a shortest path from the cell of each point to the goal's cell.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, where no path leads to the goal, and for
+            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, without a path to the goal, and for
             points with a NaN.
 
         Raises:
-            ValueError: If ``x`` has another shape, or there is no goal.
+            ValueError: If there is no goal.
         """
         return self._to_goal[self._cells_of("x", x)]
 
@@ -72,30 +66,27 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        """Whether each cell is free, and that of the points outside."""
+        """Whether each cell is free; the index of points outside the grid is included."""
 
     @property
     @abstractmethod
     def _steps(self) -> Any:
-        """The legal steps."""
+        """Legal steps, computed once for all goals."""
 
     @property
     @abstractmethod
     def _to_goal(self) -> Distances:
-        """Distance of each cell to the goal, and of that of the points outside."""
+        """Distance of each cell to the goal; the index of points outside the grid is included."""
 
     @abstractmethod
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """The cell of each point, after a check of their shape."""
+        """Return the cell index of each point, after a check of the shape; errors call the points ``name``."""
 
 
 def legal_steps(
     free: Bool[np.ndarray, "rows columns"], connectivity: int
 ) -> tuple[Int[np.ndarray, "steps"], Int[np.ndarray, "steps"], Bool[np.ndarray, "steps"]]:
-    """All legal steps, each in one of its directions: cells where they begin and end, and which ones are diagonal.
-
-    Cells are numbered in row-major order.
-    """
+    """Return start and end cells (row-major) of all legal steps, each in one direction, and which are diagonal."""
     rows, columns = np.nonzero(free)
     legal = np.pad(free, 1)
     begin, end, is_diagonal = [], [], []
@@ -111,29 +102,24 @@ def legal_steps(
 
 @dataclass(frozen=True, eq=False, init=False)
 class GridGraph(_CellGraph):
-    """Number of steps over a grid to a goal, a `DistanceFn`, exact.
+    """Exact length of shortest paths over the cells of a 2-D grid, a `DistanceFn`.
 
-    A step leads to one of four neighbors and counts 1, or to one of eight, of which the diagonal ones count the
-    square root of 2. A diagonal step cuts no corner: both cells beside it must be free. These are the rules of the
-    Moving AI benchmarks and, with four neighbors, of the League of Robot Runners.
+    A step leads to one of 4 neighbors and has length 1, or to one of 8, where diagonal steps have length sqrt(2). A
+    diagonal step must not cut a corner: both cells beside it must be free. These are the rules of the Moving AI
+    benchmarks and, with 4 neighbors, of the League of Robot Runners.
 
-    The cell in row ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
-    :func:`scenes.read_map`, so that whole numbers are the columns and rows of ``.scen`` files. All points of a cell
-    have the same distance.
+    The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
+    :func:`scenes.read_map`; integers are the columns and rows of ``.scen`` files. All points of a cell have the same
+    distance.
 
     Args:
-        free: Which cells are free, ``(rows, columns)``, as :func:`scenes.read_cells` reads them from a ``.map`` file.
-        goal: A point of a free cell, ``(2,)``. None: there is none, and pairs alone can be asked for.
-        connectivity: Neighbors of a cell, 4 or 8.
-
-    Attributes:
-        free: As given, read-only.
-        connectivity: As given.
-        goal: As given, read-only.
+        free: Whether each cell is free, ``(rows, columns)``, as :func:`scenes.read_cells` reads a ``.map`` file.
+        goal: A point in a free cell, ``(2,)``. None: only :meth:`between` can be used.
+        connectivity: Number of neighbors of a cell, 4 or 8.
 
     Raises:
-        ValueError: If ``free`` is no array of booleans of two axes with one entry at least, the goal is in no free
-            cell, or there is another number of neighbors.
+        ValueError: If ``free`` is not a nonempty 2-D boolean array, the goal is not in a free cell, or
+            ``connectivity`` is not 4 or 8.
 
     References:
         N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012.
@@ -161,23 +147,21 @@ class GridGraph(_CellGraph):
         return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Length of a shortest path between the cells of points, pair by pair.
+        """Return the length of a shortest path between the cells of points, pair by pair.
 
-        Each different cell of ``x``, or of ``y`` if those are fewer, takes one search over the grid.
+        Each distinct cell of ``x``, or of ``y`` if it has fewer, takes one search over the grid.
 
         Args:
             x: Points, ``(n, 2)``.
             y: Points, ``(n, 2)``.
 
         Returns:
-            Distances in steps, ``(n,)``; ``inf`` as for a call.
-
-        Raises:
-            ValueError: If a shape is another, or the numbers of points differ.
+            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, without a path, and for points with a
+            NaN.
         """
         ends = self._cells_of("x", x), self._cells_of("y", y)
         if len(ends[0]) != len(ends[1]):
-            raise ValueError(f"x and y must be as many points, got {len(ends[0])} and {len(ends[1])}.")
+            raise ValueError(f"x and y must be equally many points, got {len(ends[0])} and {len(ends[1])}.")
         begin, end = sorted(ends, key=lambda cells: len(np.unique(cells)))
         distances = np.full(len(begin), np.inf)
         inside = np.flatnonzero((begin != _OUTSIDE) & (end != _OUTSIDE))
@@ -194,17 +178,16 @@ class GridGraph(_CellGraph):
     @cached_property
     def _to_goal(self) -> Distances:
         if self.goal is None:
-            raise ValueError("This grid has no goal: use GridGraph(free, goal), or with_goal(goal).")
+            raise ValueError("The grid must have a goal: use GridGraph(free, goal), or with_goal(goal).")
         return np.append(self._search(self._cells_of("The goal", self.goal[None]))[0], np.inf)
 
     @cached_property
     def _steps(self) -> csr_array:
-        """Lengths of the legal steps, each in one of its directions, between cells in row-major order."""
         begin, end, is_diagonal = legal_steps(self.free, self.connectivity)
         return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=2 * (self.free.size,))
 
     def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
-        """Distances of all cells from some; a blocked one is not even 0 from itself."""
+        """Return distances of all cells from root cells; ``inf`` for blocked cells, even from themselves."""
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
         distances[:, ~self.free.ravel()] = np.inf
         return distances
@@ -214,7 +197,6 @@ class GridGraph(_CellGraph):
         return np.append(self.free, False)
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """The cell of each point, in row-major order, ``_OUTSIDE`` if it is in none."""
         x, (rows, columns) = as_points(name, x, 2), self.free.shape
         inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
         column, row = np.floor(np.where(inside[:, None], x, 0)).astype(np.intp).T
@@ -223,35 +205,26 @@ class GridGraph(_CellGraph):
 
 @dataclass(frozen=True, eq=False, init=False)
 class VoxelGraph(_CellGraph):
-    """Length of paths from voxel to voxel to a goal, a `DistanceFn`, exact.
+    """Exact length of shortest paths from voxel to voxel, a `DistanceFn`.
 
-    A step leads from a voxel's center to that of a neighbor: through one of 6 faces, across one of 12 edges as well,
-    or also across one of 8 corners. All voxels of the box that it leads through must be free, so that it cuts no
-    edge or corner. In voxels with sides of 1 steps have the lengths 1, and the square roots of 2 and 3.
+    A step leads from a voxel's center to the center of a neighbor: across one of 6 faces, with 18 moves also across
+    one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step spans must be
+    free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
 
-    A path over 26 neighbors is one that a point can follow: its length is never below that of a shortest path of any
-    angle between the two centers, and in the open, of
-    cubes, at most 12.9 % above that.
-
-    A point in a face between two voxels is of the upper one, a point in an upper bound of the last one.
+    A point can follow any path over 26 neighbors. So the length is never below that of the shortest path of any angle
+    between the two centers; in open space, for cubes, it is at most 12.9 % above it. A point on a face between two
+    voxels belongs to the upper one, a point on an upper bound to the last one.
 
     Args:
-        free: Which voxels are free, booleans ``(nx, ny, nz)``, at ``[i, j, k]`` those of a :class:`VoxelSpace`.
-        goal: A point of a free voxel, ``(3,)``; the distance is that from the voxel's center.
-        moves: Neighbors of a voxel, 6, 18 or 26.
-        bounds: The box that the voxels fill, or its corners ``(lo, hi)``. None: voxels have sides of 1, the first its
-            corner at 0, so that whole numbers are those of voxels.
-
-    Attributes:
-        grid: The voxels.
-        free: Which voxels are free, read-only.
-        bounds: The box that they fill.
-        goal: As given, read-only.
-        moves: As given.
+        free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`.
+        goal: A point in a free voxel, ``(3,)``; distances are measured from the voxel's center.
+        moves: Number of neighbors of a voxel, 6, 18 or 26.
+        bounds: The box that the voxels fill, or its corners ``(lo, hi)``. None: voxels of side 1, the first with its
+            corner at 0, so that voxel ``i`` spans ``[i, i + 1]``.
 
     Raises:
-        ValueError: If ``free`` is no array of booleans of three axes with a free voxel, the bounds are no box of
-            three axes or have periodic ones, the goal is in no free voxel, or there is another number of neighbors.
+        ValueError: If ``free`` is not a 3-D boolean array with a free voxel, the bounds are not a 3-D box without
+            periodic axes, the goal is not in a free voxel, or ``moves`` is not 6, 18 or 26.
 
     References:
         R. Dial, "Algorithm 360: shortest-path forest with topological ordering", CACM 12(11), 1969.
@@ -277,11 +250,11 @@ class VoxelGraph(_CellGraph):
 
     @property
     def lengths(self) -> Float[np.ndarray, "x y z"]:
-        """The length from every voxel, with a layer of blocked voxels around them."""
+        """Distance of every voxel to the goal, with a layer of blocked voxels around the grid."""
         return self._to_goal.reshape(self.grid.padded.shape)
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """The padded voxel of each point, in row-major order; the first, which is blocked, for one outside."""
+        """Return the flat index of each point's padded voxel, 0 (a blocked one) for points outside."""
         x = as_points(name, self.bounds.settled(x), 3)
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
@@ -295,7 +268,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
-        """What steps change of a voxel's number along each axis; and which are legal from each, a bit each."""
+        """Steps as changes of voxel numbers, and the legal steps from each voxel as bits."""
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -309,10 +282,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        """Distance of every padded voxel, by Dijkstra's search over buckets that a shortest step leads out of.
-
-        So all voxels of a bucket are final once it is the next, and go on at once.
-        """
+        """Distance of every padded voxel, by Dial's buckets, which are narrower than the shortest step."""
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)
@@ -325,7 +295,7 @@ class VoxelGraph(_CellGraph):
         while buckets:
             bucket = min(buckets)
             voxels = np.concatenate(buckets.pop(bucket))
-            # What has come nearer since it was put here was in a bucket before.
+            # Skip voxels that have become nearer since; they were processed in an earlier bucket.
             voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == bucket])
             begin, step = np.nonzero((legal[voxels][:, None] >> bits) & np.uint32(1))
             end, length = voxels[begin] + jumps[step], distance[voxels][begin] + lengths[step]
@@ -340,30 +310,26 @@ class VoxelGraph(_CellGraph):
 
 @dataclass(frozen=True, eq=False, init=False)
 class GridField:
-    """Distances computed elsewhere at the cell centers of a grid, interpolated between them.
+    """Distances from another library at the cell centers of a grid, interpolated between them.
 
-    The grid's **last** axis runs along the first coordinate of a point, and its first axis along the last one:
-    ``values[row, column]`` is at ``(x, y)`` with ``x`` in that column and ``y`` in that row, row 0 at the lowest
-    ``y``, as in :meth:`Box.grid`. Fields of scikit-fmm over a ``meshgrid`` are so, and arrays of xarray of dimensions
-    ``("y", "x")`` that increase; give ``values[::-1]`` of a raster, whose row 0 is at the top, and ``values.T`` of a
-    table ``[x, y, ...]``.
+    The **last** axis of the array runs along the first coordinate of a point, and its first axis along the last
+    coordinate: ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row, row 0
+    at the lowest ``y``, as in :meth:`Box.grid`. This is the layout of scikit-fmm over a ``meshgrid`` and of xarray
+    with ascending dimensions ``("y", "x")``. For a raster with row 0 at the top give ``values[::-1]``, for a table
+    ``[x, y, ...]`` give ``values.T``.
 
-    Interpolation is multilinear between the centers of cells with a value: where some around a point have none,
-    weights of the others are scaled to a sum of 1. In the outer halves of the cells at the bounds the distance is
-    that of the nearest point between centers; along a periodic axis the last cells are neighbors of the first.
+    Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
+    the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
+    that of the nearest point between centers. Along a periodic axis, the last cells are neighbors of the first.
 
     Args:
-        values: Distance at each center, of any dimension, at least 0; ``inf``, NaN or masked where the goal cannot
-            be reached.
+        values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
+            reached. Kept as a read-only array, with ``inf`` for all of these.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
 
-    Attributes:
-        values: As given, ``inf`` where masked or NaN; read-only.
-        bounds: The box.
-
     Raises:
-        ValueError: If the values are no numbers of at least 0, there are none, or the bounds are no box of as many
-            dimensions.
+        ValueError: If ``values`` is empty or contains anything but numbers of at least 0, or ``bounds`` is not a box
+            of the same dimension.
     """
 
     values: Float[np.ndarray, "..."]
@@ -375,15 +341,15 @@ class GridField:
         numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
         if numbers.ndim != bounds.dim or numbers.size == 0:
             raise ValueError(
-                f"values must be {expected}, as the bounds have, the last one along x, at least one, got shape "
-                f"{numbers.shape}."
+                f"values must be {expected}, as the bounds have, the last one along x, with at least one cell, got "
+                f"shape {numbers.shape}."
             )
         numbers[np.isnan(numbers)] = np.inf
         if numbers.min() < 0:
             cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
             raise ValueError(
-                f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance, and "
-                "give np.maximum(values, 0) of a field that is negative within the goal."
+                f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask cells without a distance, and use "
+                "np.maximum(values, 0) for a field that is negative inside the goal."
             )
         numbers.flags.writeable = False
         set_fields(self, values=numbers, bounds=bounds)
@@ -393,21 +359,17 @@ class GridField:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.bounds.dim
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Interpolated distance at each point.
+        """Return the interpolated distance at each point.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Distances, ``(n,)``; ``inf`` where the cell that holds the point has no value, outside the bounds, and for
-            points with a NaN.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+            Distances, ``(n,)``; ``inf`` where the cell that contains the point has no value, outside the bounds, and
+            for points with a NaN.
         """
         x = as_points("x", self.bounds.settled(x), self.dim)
         distances = np.full(len(x), np.inf)
@@ -419,18 +381,15 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Interpolate at points of the box, also in cells without a value.
+        """Interpolate also in cells without a value, and return whether the cell of each point has a value.
 
-        Returns:
-            The distances, ``inf`` where none of the cells around a point has a value; and whether the cell that holds
-            the point has one.
+        Points must lie in the box. Distances are ``inf`` where no cell around the point has a value.
         """
-        from scipy import ndimage  # which takes longer to import than other oracles need
+        from scipy import ndimage  # slow to import, and needed only here
 
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
         nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
-        # Weights of cells without a value are left out, and the others scaled to a sum of 1.
         padded, weights, parted = self._padded
         total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (padded, weights))
         values = np.divide(total, weight, out=np.full(len(x), np.inf), where=weight > 0)
@@ -442,10 +401,10 @@ class GridField:
     def _padded(
         self,
     ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
-        """Values, 0 where there is none, and whether there is one, with a cell more at each end of each axis.
+        """Values (0 if unknown), whether they are known, and boxes between centers that must not be interpolated.
 
-        And in which boxes between centers some cells with a value touch others in an edge or a corner alone, so that
-        a wall is between them; None if there is no such box.
+        Values are padded by a cell. In these boxes (None: no box), cells with a value touch at an edge or a corner
+        only.
         """
         is_known = np.isfinite(self.values)
         values = np.where(is_known, self.values, 0.0)
@@ -459,5 +418,5 @@ class GridField:
             for bit, corner in enumerate(product((0, 1), repeat=values.ndim)):
                 around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
-            parted = parted_sets(values.ndim)[sets]
+            parted = disconnected_sets(values.ndim)[sets]
         return values, is_known.astype(float), parted

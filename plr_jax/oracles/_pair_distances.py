@@ -1,7 +1,8 @@
-"""Exact distances of pairs of points: straight, or by a corner that each of them sees.
+"""Exact distances between pairs of points: straight, or through corners that the points see.
 
-A shortest path that is not straight leaves both points for corners at which it turns. So its length is the least,
-over the corners that one point sees and those that the other one sees, of two legs and the way between the corners.
+A shortest path that is not straight turns first at a corner that its start sees, and last at a corner that its end
+sees. So its length is the minimum over both lists of corners of two straight segments and the distance between the
+corners.
 """
 
 from dataclasses import dataclass
@@ -18,21 +19,15 @@ from plr_jax.geometry.graph import Graph
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
-_CANDIDATES = 1 << 21  # pairs of a point and a corner at a time
-_WAYS = 1 << 18  # ways by two corners at a time
-_DISTANCES = 1 << 24  # between corners, held at a time; where all are as few, they are kept
-_SLACK = 1e-9  # share of a length by which rounding may disturb an order
+_CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
+_WAYS = 1 << 18  # paths through two corners in memory at a time
+_DISTANCES = 1 << 24  # distances between corners in memory at a time; up to so many, all are cached
+_SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
 @dataclass(frozen=True, eq=False)
-class _Lists:
-    """Corners at which paths from each of some points may turn first.
-
-    Args:
-        first: First entry of each point, and the number of entries, ``(points + 1,)``.
-        corner: Corners, point by point, ``(entries,)``.
-        leg: How far each is from its point, ``(entries,)``.
-    """
+class _CornerLists:
+    """For each point, the corners at which paths from it may turn first, and their distances ``leg`` from it."""
 
     first: Int[np.ndarray, "points_plus_one"]
     corner: Int[np.ndarray, "entries"]
@@ -40,28 +35,22 @@ class _Lists:
 
     @cached_property
     def point(self) -> Int[np.ndarray, "entries"]:
-        """The point of each entry."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
-    def of(self, points: Int[np.ndarray, "some"]) -> "_Lists":
-        """Those of some of the points, which may be repeated."""
+    def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
+        """Return the lists of some points, which may be repeated."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
-        return _Lists(first, self.corner[entry], self.leg[entry])
+        return _CornerLists(first, self.corner[entry], self.leg[entry])
 
-    def where(self, kept: Bool[np.ndarray, "entries"]) -> "_Lists":
-        """Those of the entries that are kept."""
-        return _Lists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
+    def filter(self, kept: Bool[np.ndarray, "entries"]) -> "_CornerLists":
+        """Return the lists with only the entries to keep."""
+        return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
 
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Distances between points of a workspace. What is found on the way is kept, but not pickled.
-
-    Args:
-        workspace: The workspace.
-        visibility: What its corners see.
-    """
+    """Exact distances between any two points of a workspace; results are cached but not pickled."""
 
     workspace: Workspace
     visibility: CornerVisibility
@@ -74,15 +63,15 @@ class PairDistances:
         return Graph(self.visibility.corners.points, self.visibility.edges)
 
     @cached_property
-    def _known(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
-        """Corners whose distances to all of them are known, where all are to be kept, and these."""
+    def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
+        """Whether the distances from each corner to all corners are known, and these."""
         return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
-    def _ways(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
-        """Distances from some corners to all of them."""
+    def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
+        """Return distances from some corners to all corners, from the cache if it can hold all."""
         if len(self._graph.vertices) > self._at_once:
             return csgraph.dijkstra(self._graph.adjacency, indices=corners)
-        is_known, table = self._known
+        is_known, table = self._distance_cache
         missing = corners[~is_known[corners]]
         table[missing] = csgraph.dijkstra(self._graph.adjacency, indices=missing)
         is_known[missing] = True
@@ -90,12 +79,11 @@ class PairDistances:
 
     @property
     def _at_once(self) -> int:
-        """Corners to ask for at a time."""
         return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
 
     @cached_property
     def _regions(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
-        """The corners at which paths from each triangle may turn first, and in the end, for vertices, all of them."""
+        """Corners at which paths from each triangle may turn first; one more list, for vertices, has all corners."""
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]
@@ -104,13 +92,9 @@ class PairDistances:
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
     def __call__(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
-        """Distances of pairs, ``inf`` where there is no path; alike either way round.
-
-        Raises:
-            ValueError: If the numbers of points differ.
-        """
+        """Return the distances of pairs, ``inf`` without a path, bitwise the same in both directions."""
         if len(x) != len(y):
-            raise ValueError(f"x and y must be as many points, got {len(x)} and {len(y)}.")
+            raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
@@ -118,7 +102,7 @@ class PairDistances:
         hidden = np.flatnonzero(~seen)
         is_free = self.workspace.is_free_to_tolerance
         hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
-        hidden = hidden[np.argsort(_ordered(x[hidden]), kind="stable")]  # those at a time share points and corners
+        hidden = hidden[np.argsort(_as_complex(x[hidden]), kind="stable")]  # so that batches share points and corners
         counts = self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0]
         for part in parts(counts, _CANDIDATES):
             pairs = hidden[part]
@@ -126,24 +110,24 @@ class PairDistances:
         return distance
 
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
-        """Lengths of the shortest ways that turn: a good one first, then all that may be shorter."""
+        """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
         at_x, at_y = self._lists(x), self._lists(y)
-        least_x, least_y = self._at_least(at_x, y), self._at_least(at_y, x)
-        promising = least_x == _least(least_x, at_x.first)[at_x.point]
-        most = self._shortest(at_x.where(promising), at_y) * (1 + _SLACK)
-        return self._shortest(at_x.where(least_x <= most[at_x.point]), at_y.where(least_y <= most[at_y.point]))
+        least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
+        promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
+        most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
+        return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
-    def _at_least(self, lists: _Lists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
-        """No way by an entry's corner is shorter: it ends straight."""
+    def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
+        """Return lower bounds of path lengths through corners: straight to each, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.leg + np.linalg.norm(to_other, axis=1)
 
-    def _shortest(self, at_x: _Lists, at_y: _Lists) -> Distances:
-        """Length of the shortest way of each pair by a corner of either list."""
+    def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
+        """Return the length of the shortest path of each pair through one corner of each of its lists."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
-            between = self._ways(corners[begin : begin + at_once])
+            between = self._corner_distances(corners[begin : begin + at_once])
             of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))
             counts = np.diff(at_y.first)[at_x.point[of_these]]
             for part in parts(counts, _WAYS):
@@ -151,12 +135,12 @@ class PairDistances:
                 last, way = take_ragged(at_y.first, at_x.point[entries])
                 onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.leg[last]
                 first = np.append(0, np.cumsum(counts[part]))
-                length[entries] = _least(onward, first)
-        return _least(at_x.leg + length, at_x.first)
+                length[entries] = _run_minima(onward, first)
+        return _run_minima(at_x.leg + length, at_x.first)
 
-    def _lists(self, x: Float[np.ndarray, "n 2"]) -> _Lists:
-        """The corners that each point sees, and that turn a path from it."""
-        _, index, number = np.unique(_ordered(x), return_index=True, return_inverse=True)
+    def _lists(self, x: Float[np.ndarray, "n 2"]) -> _CornerLists:
+        """Return the corners that each point sees and at which a path from it may turn."""
+        _, index, number = np.unique(_as_complex(x), return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._regions
         places = self.workspace.triangulation.place(points)
@@ -164,10 +148,10 @@ class PairDistances:
         kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
         kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
         leg = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
-        return _Lists(np.append(0, np.cumsum(counts)), corner, leg).where(kept).of(number)
+        return _CornerLists(np.append(0, np.cumsum(counts)), corner, leg).filter(kept).take(number)
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
-        """How many corners see some of the triangles at each point, and the runs that these are, point by point."""
+        """Return the number of corners that may see each point, and the lists in ``_regions`` that have them."""
         begins, (held, first, triangle) = (
             self._regions[0],
             triangles_at(self.workspace.triangulation, self.workspace.triangulation.place(x)),
@@ -180,16 +164,15 @@ class PairDistances:
         return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
 
 
-def _least(
+def _run_minima(
     values: Float[np.ndarray, "entries"], first: Int[np.ndarray, "runs_plus_one"]
 ) -> Float[np.ndarray, "runs"]:
-    """The least of each run, ``inf`` where it is empty."""
+    """Return the minimum of each run of values, ``inf`` for an empty run."""
     result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if some.any():
         result[some] = np.minimum.reduceat(values, first[:-1][some])
     return result
 
 
-def _ordered(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
-    """Points as numbers that are ordered by their first, then by their second coordinate."""
+def _as_complex(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
     return x[:, 0] + 1j * x[:, 1]

@@ -1,4 +1,4 @@
-"""Probabilistic roadmaps (PRM*): near-optimal distances in any dimension, and the parts they are made of."""
+"""Probabilistic roadmaps (PRM*): near-optimal distances in any dimension."""
 
 import math
 from collections.abc import Callable
@@ -32,65 +32,57 @@ from plr_jax.geometry.workspace import Workspace, require_workspace
 
 @dataclass(frozen=True, eq=False)
 class Metric:
-    """The Euclidean norm of weighted differences of configurations of a domain.
-
-    Attributes:
-        domain: The domain, which says which axes are periodic.
-        weights: What a unit along each axis counts, such as a radian in units of length; positive.
-    """
+    """The Euclidean norm of weighted differences of configurations; ``domain`` says which axes are periodic."""
 
     domain: Box
     weights: Float[np.ndarray, "dim"]
 
     @property
     def widths(self) -> Float[np.ndarray, "dim"]:
-        """Weighted widths of the domain: of a periodic axis its period."""
+        """Weighted widths of the domain; along a periodic axis, the weighted period."""
         return self.weights * self.domain.width
 
     def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
-        """Lengths of the motions from some configurations to others."""
+        """Return the lengths of motions from ``a`` to ``b``."""
         return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
-        """A k-d tree of configurations, to be asked for :meth:`places`; its distances are those of the metric."""
+        """Build a k-d tree over :meth:`tree_coordinates`; its distances are those of the metric."""
         periods = np.where(self.domain.periodic, self.widths, 0.0) if self.domain.is_periodic else None
-        return KDTree(self.places(vertices), boxsize=periods)
+        return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
-    def places(self, x: Points) -> Points:
-        """Coordinates in the k-d tree, where periodic axes run from 0 to below their weighted period."""
+    def tree_coordinates(self, x: Points) -> Points:
+        """Return coordinates for the k-d tree, in which periodic axes run from 0 to below their weighted period."""
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
-        around = np.where(around < self.widths, around, 0.0)  # rounding may close the circle
+        around = np.where(around < self.widths, around, 0.0)  # rounding may reach the full period
         return np.where(self.domain.periodic, around, self.weights * x)
 
 
 def metric_of(domain: Box, weights: ArrayLike | None) -> Metric:
-    """The metric of given weights, 1 each if there are none; raises ``ValueError`` if one is not positive."""
+    """Return the metric of the given weights, or with weights 1; raise ``ValueError`` unless all are positive."""
     if weights is None:
         return Metric(domain, np.ones(domain.dim))
     weights = as_finite_point("weights", weights, domain.dim)
     if (weights <= 0).any():
-        raise ValueError(f"weights must be positive, one an axis, got {weights.tolist()}.")
+        raise ValueError(f"weights must be positive, one per axis, got {weights.tolist()}.")
     return Metric(domain, weights)
-
-
-# The parts of PRM*: the local planner, how far to connect, which configurations to draw, which pairs to join.
 
 
 IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
 
 _BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
-_EDGES_A_STEP = 2**15  # edges tested between two signs of life of the progress bar
+_EDGES_A_STEP = 2**15  # edges tested between two updates of the progress bar
 _MIN_FREE_FRACTION = 1e-4
 _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, for ``n`` vertices, at least 2.
+    """Return the connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, for at least 2 vertices.
 
     References:
         Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above
-        ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; this bound itself is taken.
+        ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; here ``gamma`` equals this bound.
     """
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
@@ -98,7 +90,7 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """The first free draws of a uniform sequence over the domain, and an estimate of the free volume."""
+    """Return the first free draws of a uniform sequence over the domain, and an estimate of the free volume."""
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -111,13 +103,13 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
         if num_drawn >= _DRAWS_BEFORE_GIVING_UP and num_free < _MIN_FREE_FRACTION * num_drawn:
             raise ValueError(
                 f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
-                f"tighten the domain around free space, or check is_free."
+                "shrink the domain around free space, or check is_free."
             )
     return np.concatenate(accepted)[:num_samples], float(np.prod(metric.widths)) * num_free / num_drawn
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
-    """Pairs of vertices within the radius that see each other."""
+    """Return pairs of vertices within the radius that see each other."""
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     with tqdm(total=len(pairs), desc="Roadmap edges", unit="edge", delay=3, disable=None) as progress:
@@ -129,8 +121,8 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 
 def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
-    """The user's test, false outside the domain, its answers checked. It is asked for wrapped points."""
-    return partial(_is_free, domain, is_free)  # which can be pickled if the test can, as what follows
+    """Wrap the user's test: it sees only wrapped points of the domain, and its answers are checked."""
+    return partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
 
 
 def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
@@ -143,15 +135,12 @@ def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
 def checked_is_visible(
     metric: Metric, is_free: IsFree, is_visible: IsVisible | None, resolution: float | None
 ) -> IsVisible:
-    """The user's test, its answers checked, or one that samples motions at a resolution.
-
-    Of motions the short way around periodic axes: to the image of the end that is nearest to the start.
-    """
+    """Wrap the user's test of motions, checking its answers, or return one that samples motions at a resolution."""
     if is_visible is None and resolution is not None:
         return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
     if is_visible is None or resolution is not None:
         raise ValueError(
-            "Give either is_visible, an exact test of motions, or resolution, the step of a sampled one."
+            "Give either is_visible, an exact test of motions, or resolution, the step of a sampled test."
         )
     return partial(_is_visible, metric.domain, is_visible)
 
@@ -165,16 +154,14 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, "n"]:
-    """Whether each straight motion between free points is free wherever it is tested.
-
-    Coarsely first, then between what was tested where nothing blocked was met: blocked motions take few tests.
-    """
+    """Return whether motions between free points are free at sampled points, tested from coarse to fine."""
     b = metric.domain.image_near(b, a)
     change, num_steps = b - a, np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
     visible = np.ones(len(a), dtype=bool)
     stride = 1 << max(int(num_steps.max(initial=0)) - 1, 0).bit_length()
     while stride := stride // 2:
-        num_tests = np.where(visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)  # odd multiples of it
+        # Test odd multiples of the stride; even ones were tested before.
+        num_tests = np.where(visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)
         for rows in parts(num_tests, _BATCH):
             row, odd = ragged_indices(num_tests[rows])
             motion = rows.start + row
@@ -187,50 +174,42 @@ def _is_visible_sampled(
 class Roadmap:
     """Distance to a goal over a probabilistic roadmap (PRM*), a `DistanceFn` in any dimension.
 
-    Free configurations drawn uniformly, and the goal, are the vertices; every two that see each other
-    within the PRM* radius are joined by a straight edge. One run of Dijkstra's algorithm from the goal
-    gives each vertex its distance. A query point is joined to every vertex that it sees within the
-    radius and takes the shortest way through one of them. The answer is the length of a path that
-    exists, so never below the true distance (as far as the edge test can be trusted), and approaches
-    it as samples are added.
-
-    Lengths are Euclidean, of differences times the ``weights``, and edges go the short way around periodic axes.
+    The vertices are free configurations, drawn uniformly, and the goal. Two vertices within the PRM* radius that see
+    each other are joined by a straight edge. Dijkstra's algorithm computes the distance of each vertex to the goal. A
+    query joins a point to all vertices that it sees within the radius, and takes the shortest path through one of
+    them. A path of that length exists, so the answer is never below the true distance, as far as the edge test can be
+    trusted. It approaches the true distance as samples are added. Lengths are Euclidean norms of differences times
+    the ``weights``; edges go the short way around periodic axes.
 
     Args:
-        domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along
-            periodic axes, such as angles, points are wrapped into it.
-        is_free: Collision test of a batch, ``(n, dim)`` configurations to ``(n,)`` booleans. It is
-            called with points of the domain only, in batches of any size, and must not depend on the
-            rest of the batch.
+        domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along periodic
+            axes, such as angles, points are wrapped into it.
+        is_free: Batched collision test, from configurations ``(n, dim)`` to booleans ``(n,)``. It is called with
+            points of the domain only, in batches of any size. Its answer for a point must not depend on the rest of
+            the batch.
         goal: A free configuration, ``(dim,)``.
-        num_samples: Number of free configurations to draw, at least 1. Samples of one seed are a
-            sequence: more of them extend it.
-        seed: Seed of the samples.
-        is_visible: Exact test of straight motions, ``(n, dim)`` starts and ``(n, dim)`` ends, all of
-            them free, to ``(n,)`` booleans. Around periodic axes a motion may leave the domain: its end is
-            the image nearest to its start. Give either this or ``resolution``.
-        resolution: Where there is no exact test: the largest step, in (weighted) units of the domain,
-            between the points at which a straight motion is tested with ``is_free``. Obstacles thinner than
-            this can be passed through.
-        weights: What a unit along each axis counts, such as a radian against a unit of length, ``(dim,)``,
-            positive. None: 1 each.
+        num_samples: Number of free configurations to draw, at least 1.
+        seed: Seed of the samples. With the same seed, more samples extend the sequence.
+        is_visible: Exact test of straight motions, from free starts and ends ``(n, dim)`` to booleans ``(n,)``.
+            Around periodic axes a motion may leave the domain: its end is the image nearest to its start. Give either
+            this or ``resolution``.
+        resolution: Without an exact test: the largest step, in weighted units, between points of a straight motion
+            that are tested with ``is_free``. Thinner obstacles can be passed through.
+        weights: Weight of a unit along each axis, ``(dim,)``, positive, such as the length that one radian counts.
+            None: 1 each.
 
     Attributes:
-        domain: The box of configurations.
-        is_free: The collision test, false outside the domain.
-        is_visible: The test of motions.
-        radius: Connection radius, in (weighted) units of the domain.
+        radius: Connection radius, in weighted units.
         graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
-        distances: Distance of each vertex to the goal, ``inf`` where the roadmap does not join them.
+        distances: Distance of each vertex to the goal, ``inf`` if the roadmap does not connect them.
 
     Raises:
-        ValueError: If the domain is no box, the goal is not free, fewer than 1 in 10,000 draws are free, a
-            test returns anything but one boolean a point, or an argument is out of range.
+        ValueError: If the domain is not a box, the goal is not free, fewer than 1 in 10,000 draws are free, a test
+            does not return one boolean per point, or an argument is out of range.
 
     References:
-        Karaman and Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 2011:
-        section 3.3 on PRM*. The free volume in its radius is estimated by the fraction of draws that
-        are free.
+        Karaman and Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 2011: section 3.3 on PRM*.
+        The free volume in its radius is estimated by the fraction of draws that are free.
     """
 
     domain: Box
@@ -276,32 +255,20 @@ class Roadmap:
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
-        """Roadmap of a point robot in a workspace, every edge tested exactly.
+        """Build the roadmap of a point robot in a workspace, whose bounds are the domain, with exact edge tests.
 
-        Args:
-            workspace: The workspace; its bounds are the domain.
-            goal: A free point, ``(2,)``.
-            num_samples: Number of free points to draw, at least 1.
-            seed: Seed of the samples.
-
-        Returns:
-            The roadmap.
+        The other arguments are those of the class.
 
         Raises:
-            ValueError: If the goal is not free, ``num_samples`` is less than 1, or less than 1 in 10,000 of
-                the bounds' area is free.
+            ValueError: If the goal is not free, or less than 1 in 10,000 of the bounds' area is free.
         """
         require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
-        """The roadmap of the same samples for another goal: only the goal's own edges are tested.
+        """Return the roadmap of the same samples for another free goal ``(dim,)``, testing only the goal's edges.
 
-        Args:
-            goal: A free configuration, ``(dim,)``.
-
-        Returns:
-            The roadmap; the one that a construction with this goal and the same seed would give.
+        The result equals a new construction with this goal and the same seed.
 
         Raises:
             ValueError: If the goal is not free.
@@ -330,49 +297,37 @@ class Roadmap:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.domain.dim
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the roadmap as a file would hold it: float64 vertices, int32 edges, float64 lengths.
-
-        This is what a search for any goal needs. The distances to this goal, the k-d tree and the
-        adjacency matrix follow from it and are not counted.
-        """
+        """Bytes of vertices (float64), edges (int32) and lengths (float64), which suffice to search for any goal."""
         return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Distance of each point to the goal along the roadmap.
+        """Return the distance of each point to the goal along the roadmap.
 
-        A point that sees no vertex within the radius looks in twice, four times, ... the radius until it
-        sees one.
+        A point that sees no vertex within the radius tries twice, four times, ... the radius until it sees one.
 
         Args:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Distances, in (weighted) units of the domain. ``inf`` for points outside the domain, with a NaN, or
-            not free; for points that see no vertex; and where no vertex seen is joined to the goal.
-
-        Raises:
-            ValueError: If ``x`` is not of shape ``(n, dim)``.
+            Distances ``(n,)``, in weighted units of the domain. ``inf`` for points outside the domain, with a NaN, or
+            not free; for points that see no vertex; and if no visible vertex is connected to the goal.
         """
         return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """The path whose length the query answers.
+        """Return the path whose length a call returns.
 
         Args:
             x: A point, ``(dim,)``.
 
         Returns:
-            The path's vertices, ``(m, dim)``, from ``x`` to the goal, no two in a row equal: one if ``x`` is
-            the goal. No rows where the distance is ``inf``. Along periodic axes all of them are wrapped, and the
-            path goes on the short way.
-
-        Raises:
-            ValueError: If ``x`` is not of shape ``(dim,)``.
+            Vertices of the path, ``(m, dim)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is
+            the goal, none if the distance is ``inf``. Along periodic axes they are wrapped, and the path goes the
+            short way.
         """
         x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
         distance, first = self._first_vertices(x)
@@ -381,7 +336,7 @@ class Roadmap:
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Distance of points, and the vertex that each goes to first: -1 if it is not free or sees none."""
+        """Return the distance of each point and the first vertex of its path, -1 if it is not free or sees none."""
         answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
@@ -392,12 +347,16 @@ class Roadmap:
         return answer, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Distance by way of the vertices seen between two radii, and the best of them, -1 where there are none."""
-        places, vertices, distances = self._metric.places(x), self.graph.vertices, np.append(self.distances, np.inf)
+        """Return distances through vertices seen between two radii, and the best vertex, -1 if there is none."""
+        places, vertices, distances = (
+            self._metric.tree_coordinates(x),
+            self.graph.vertices,
+            np.append(self.distances, np.inf),
+        )
         count = self._tree.query_ball_point(places, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)
-        # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
+        # The tree's bound is exclusive; if fewer vertices are near, the tree fills up with infinite distances.
         limit = np.nextafter(outer, np.inf)
         with tqdm(
             total=len(x), desc="Roadmap queries", unit=" points", delay=3, leave=False, disable=None

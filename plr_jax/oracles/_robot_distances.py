@@ -1,4 +1,4 @@
-"""One exact distance function for each robot of a problem: the terms of a team's heuristic."""
+"""Exact distance functions for the robots of a team, the terms of its heuristic."""
 
 import numpy as np
 import shapely
@@ -9,23 +9,23 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
-_SLACK = 4  # tolerances
+_SLACK = 4  # multiple of the tolerance by which robots are shrunk
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Exact distance of each robot to its goal, alone among the obstacles.
+    """Return one exact distance function per robot to its goal, alone among the obstacles.
 
-    Robots of one size share the visibility of the corners.
+    Robots of equal size share the visibility of corners.
 
     Args:
         problem: The robots, their workspace and their goals.
-        inflated: Whether obstacles are grown by each robot's radius (of one that turns, its inscribed radius), so
-            that distances are those of its reference point. False gives the paper's point robots, whose distances
-            are shorter.
+        inflated: Whether obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so
+            that distances are those of its reference point. False: distances of points, as in the paper, which are
+            shorter.
 
     Returns:
-        A distance function of the position ``(n, 2)`` for each robot, never longer than the robot's own shortest
-        path. ``inf`` where its center cannot be.
+        For each robot a distance function of positions ``(n, 2)``, never above the robot's own shortest path, ``inf``
+        where its center cannot be.
 
     References:
         Section V-B of the paper, which uses the point robots' distances.
@@ -33,7 +33,7 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
     first: dict[float, VisibilityGraph] = {}
     distance_fns = []
     for robot, goal in zip(problem.robots, problem.goals, strict=True):
-        # A robot may overlap a wall by the tolerance, and fits a passage exactly as wide as it is.
+        # A robot may overlap a wall by the tolerance, and fits through a passage of exactly its own width.
         radius = max(0.0, robot.inscribed_radius - _SLACK * problem.workspace.tolerance) if inflated else 0.0
         if radius in first:
             distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
@@ -45,7 +45,7 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
 
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
-    """The goal, moved into free space where rounding left it just outside, as that of a robot that touches a wall."""
+    """Move a goal that rounding left just outside free space into it, as for a robot that touches a wall."""
     if workspace.is_free_to_tolerance(goal[None])[0]:
         return goal
     nearest = shapely.get_coordinates(shapely.ops.nearest_points(workspace.free_space, shapely.Point(goal))[0])[0]

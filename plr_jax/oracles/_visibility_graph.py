@@ -1,4 +1,4 @@
-"""Exact shortest-path distance among polygons in the plane."""
+"""Exact shortest-path distances among polygons in the plane, by a visibility graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -14,8 +14,8 @@ from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySources, SharedCells
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
-from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
-from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see
+from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
+from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -30,33 +30,32 @@ from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangle
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-_ROUNDING = 1e-12  # of the largest distance, by which changes may differ and are one
+_ROUNDING = 1e-12  # changes count as equal up to this share of the largest distance
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class VisibilityGraph:
     """Exact length of the shortest path to a goal for a point among polygonal obstacles in the plane.
 
-    A shortest path turns only at corners that stick out into free space. Construction finds the visibility
-    polygon of every corner, the graph of corners that see one another, and by Dijkstra's algorithm the
-    distance of each corner to the goal. A query takes, of the corners that see the point, the one of least
-    ``distance(corner) + |x - corner|``: it tries them in that order and stops at the first that does.
+    A shortest path turns only at corners that stick out into free space. Construction computes the visibility polygon
+    of every corner, the graph of corners that see one another, and by Dijkstra's algorithm the distance of each
+    corner to the goal. A query tries corners in ascending order of ``distance(corner) + |x - corner|`` and stops at
+    the first one that sees the point.
 
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, ``(2,)``, in closed free space.
-        shared: What the oracles of one workspace share, as :meth:`with_goal` passes it on; None: it is computed.
-        goal_view: What the goal sees, if it is known; the goal is then known to be free.
+        shared: For internal use: what the oracles of one workspace share; None: it is computed.
+        goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
 
     Attributes:
-        workspace, goal: As given.
-        distances: Distance of each vertex of ``graph`` to the goal, ``inf`` where it cannot be reached.
+        distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
 
     References:
-        de Berg et al., Computational Geometry (3rd ed.), chapter 15, by :mod:`plr_jax.geometry.visibility`.
+        de Berg et al., Computational Geometry (3rd ed.), chapter 15; see :mod:`plr_jax.geometry.visibility`.
     """
 
     workspace: Workspace
@@ -69,9 +68,9 @@ class VisibilityGraph:
     _goal_edges: Int[np.ndarray, "edges 2"]
     _pairs: PairDistances
     is_lower_bound: ClassVar[bool] = True
-    """True: no path of a robot whose reference point keeps to its free space is shorter."""
+    """True: no path of the robot's reference point is shorter."""
     dim: ClassVar[int] = 2
-    """Number of coordinates of a point: 2."""
+    """Number of coordinates of a point."""
 
     def __init__(
         self,
@@ -91,7 +90,7 @@ class VisibilityGraph:
                 workspace.triangulation, viewpoint_at(workspace.triangulation, goal)
             )
             goal_view = goal_table, corners.of_vertex[seen]
-        # The goal, vertex 0, is joined to the corners that it sees and that see it.
+        # Join the goal, vertex 0, to the corners that it sees and that see it.
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
         corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
@@ -102,32 +101,23 @@ class VisibilityGraph:
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
-        """The same workspace's oracle for another goal; corners and what they see are shared.
-
-        Args:
-            goal: The goal, ``(2,)``, in closed free space.
-
-        Returns:
-            The oracle.
+        """Return the oracle of the same workspace for another goal ``(2,)``, sharing corners and what they see.
 
         Raises:
-            ValueError: As for the class.
+            ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
         """
         return VisibilityGraph(self.workspace, goal, shared=self._pairs)
 
     def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
-        """The oracle of a workspace that differs here and there, as :meth:`Workspace.with_obstacles` makes one.
+        """Return the oracle for the same goal after a local change of the workspace, reusing what did not change.
 
-        What the change does not meet is shared. Any workspace will do, but the more differs, the longer it takes.
+        The result equals a new oracle up to rounding. The more the workspaces differ, the longer it takes.
 
         Args:
-            workspace: The other workspace.
-
-        Returns:
-            The oracle for the same goal, as if made anew, up to rounding.
+            workspace: The changed workspace, for example from :meth:`Workspace.with_obstacles`.
 
         Raises:
-            ValueError: If the goal is not in its closed free space.
+            ValueError: If the goal is not in closed free space of the new workspace.
         """
         require_workspace(workspace)
         own, goal = self.workspace, self.goal
@@ -145,7 +135,7 @@ class VisibilityGraph:
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
-    def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
+    def __getstate__(self) -> dict[str, Any]:  # pickle without cached properties
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
@@ -154,7 +144,7 @@ class VisibilityGraph:
 
     @cached_property
     def graph(self) -> Graph:
-        """The goal as vertex 0, then the corners, joined where a shortest path along the edge can turn at an end."""
+        """The goal as vertex 0 and the corners, joined where a shortest path can turn at an end of the edge."""
         edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
         return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
 
@@ -167,53 +157,28 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
+        """The goal and the corners, as vertices of the graph: paths from points go to one of them first."""
         points = self._corners.corners.with_goal(self.goal).points
-        # Where no vertex comes next, the parent is the vertex itself.
+        # A vertex without a next one is its own parent.
         parents = np.where(self._parents < 0, np.arange(len(points)), self._parents)
         return Sources(points, self.distances, parents)
 
     @cached_property
     def sight(self) -> Sight:
-        """What tells which sources pieces of free space may use."""
+        """Data that decide which sources pieces of free space may use."""
         table = joined_tables([self._goal_table, self._corners.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Which sources points of a box may use, and which all of them can, piece by piece of free space.
-
-        Args:
-            domain: The box, as one cell, of which smaller ones can be cut. It may reach beyond the workspace.
-
-        Returns:
-            The pieces of free space in the box from which the goal can be reached, and their sources.
-        """
+        """Return the free pieces of a box, as one cell, from which the goal can be reached, with their sources."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """As :meth:`cell_sources`, of boxes as cells, whatever they are parts of.
-
-        Args:
-            lo: Their lower corners.
-            hi: Their upper corners.
-
-        Returns:
-            The pieces of free space in them, and their sources.
-        """
+        """Return the free pieces of several boxes, each a cell, with their sources; see :meth:`cell_sources`."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
-        """How distances have changed since another oracle of the same goal.
-
-        Args:
-            before: The other oracle.
-
-        Returns:
-            Where, and by how much.
-
-        Raises:
-            ValueError: If it is none, or of another goal.
-        """
+        """Return how distances differ from those of another oracle of the same goal (else ``ValueError``)."""
         if not isinstance(before, VisibilityGraph):
             raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
         if (self.goal != before.goal).any():
@@ -223,78 +188,69 @@ class VisibilityGraph:
 
     @property
     def family(self) -> CornerVisibility:
-        """What oracles share that :meth:`with_goal` makes of one another: the corners and what they see."""
+        """The corners and what they see, shared by the oracles that :meth:`with_goal` makes of one another."""
         return self._corners
 
     def shared_cells(
         self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
     ) -> SharedCells:
-        """What all of the family share of some boxes in a domain: pieces of free space, and corners that see them."""
+        """Return what all oracles of the family share of some boxes: free pieces, and corners that see them."""
         return SharedCells.of(self._corners, self.workspace.triangulation, domain, lo, hi)
 
     @staticmethod
     def family_sources(
         shared: SharedCells, fns: Sequence["VisibilityGraph"]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
-        """The distinct sources of these boxes for some of the family, their keys, and which ones are each one's."""
+        """Return the distinct sources of boxes for several oracles, their keys, and their index by oracle and box."""
         goals = []
         for fn in fns:
             corner, turns = fn._turns.vertex - 1, fn._turns
-            # Paths come around the wall that opens a corner's sector, or around the one that closes it.
+            # Side 1: paths come around the wall that opens the corner's sector; side 0: the one that closes it.
             side = (turns.normal[1] == turned_left(fn._corners.corners.walls[0, corner])).all(axis=1)
             goals.append((fn._goal_table, 2 * corner + side, turns.distance))
         return shared.of_goals(goals)
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Length of the shortest path from each point to the goal.
+        """Return the length of the shortest path from each point to the goal.
 
         Args:
             x: Points, ``(n, 2)``.
 
         Returns:
-            Distances, ``(n,)``, in workspace units: ``inf`` in an obstacle, outside the bounds, where the
-            goal cannot be reached, and for points that are not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+            Distances in workspace units, ``(n,)``: ``inf`` in an obstacle, outside the bounds, where the goal cannot
+            be reached, and for points that are not finite.
         """
         return self._first_turns(self._points("x", x))[0]
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """As of the workspace: whether points ``(n, 2)`` are free, whether or not the goal can be reached."""
+        """Return whether points ``(n, 2)`` are free in the workspace, even if the goal cannot be reached."""
         return self.workspace.is_free(x)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Length of the shortest path between points, pair by pair, whatever the goal.
+        """Return the length of the shortest path between points, pair by pair, whatever the goal.
 
-        Ways between corners are searched when the first pair needs them, and kept for all oracles that
-        :meth:`with_goal` makes of one another if there are at most 4,096 corners. If more, ask for many pairs a call.
+        Distances between corners are computed when needed. With at most 4,096 corners they are cached for all oracles
+        that :meth:`with_goal` makes of one another. With more, ask for many pairs in one call.
 
         Args:
             x: Points, ``(n, 2)``.
             y: Points, ``(n, 2)``.
 
         Returns:
-            Distances, ``(n,)``, in workspace units, as of oracles whose goals are ``y``, up to rounding; bit for bit
-            the same either way round. ``inf`` as for a call, and where that is so of ``y``.
-
-        Raises:
-            ValueError: If a shape is another, or the numbers of points differ.
+            Distances in workspace units, ``(n,)``, bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a
+            path, or if a point is not free or not finite.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
-        """The shortest path from a point to the goal.
+        """Return the shortest path from a point to the goal.
 
         Args:
             x: The point, ``(2,)``.
 
         Returns:
-            The path's vertices, ``(m, 2)``, from ``x`` to the goal, no two in a row equal: one if ``x`` is the
-            goal; corners that the path only grazes may be among them. No rows where the distance is ``inf``.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+            Vertices of the path, ``(m, 2)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is the
+            goal, none if the distance is ``inf``. Corners that the path only grazes may be among them.
         """
         x = as_point("The start", self.workspace.bounds.settled(x), 2)
         distance, turn = self._first_turns(x[None])
@@ -303,23 +259,20 @@ class VisibilityGraph:
         return path_to_root(self.graph, self._parents, x, int(turn[0]))
 
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
-        """The directions in which the shortest paths set out: where the exact distance falls at a rate of one.
+        """Return the directions in which shortest paths start, the negative gradient of the distance.
 
         Args:
             x: Points, ``(n, 2)``.
 
         Returns:
             Unit vectors, ``(n, 2)``: zero within the workspace's tolerance of the goal, NaN where the distance is
-            ``inf``. Where several paths are shortest, the direction of one of them.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+            ``inf``. If several paths are shortest, the direction of one of them.
         """
         x = self._points("x", x)
         distance, turn = self._first_turns(x)
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
-        # From a corner the path sets out towards the vertex after it.
+        # From a point at a corner, the path starts towards the next vertex.
         while (here := (length <= self.workspace.tolerance) & (turn > 0) & np.isfinite(distance)).any():
             turn[here] = self._parents[turn[here]]
             leg[here] = self.graph.vertices[turn[here]] - x[here]
@@ -333,11 +286,11 @@ class VisibilityGraph:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
+        """Return the distance of each point and the first vertex of its path; 0 (the goal) without a turn."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self._corners.table.sees
-        # Few points are moved into free space: of these it is asked again what the goal sees.
+        # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)
         if len(rest := np.flatnonzero(~direct)):
@@ -356,7 +309,7 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     if np.ndim(goal) == 2:
         raise ValueError(
             f"The goal must be one point (x, y), got an array of shape {np.shape(goal)}. For the nearest of several "
-            "use NearestGoal([first, *map(first.with_goal, others)]), for a PLR of each construct_many."
+            "goals, use NearestGoal([first, *map(first.with_goal, others)]); for a PLR per goal, use construct_many."
         )
     goal = as_finite_point("The goal", workspace.bounds.settled(goal), 2)
     if not workspace.is_free_to_tolerance(goal[None])[0]:
@@ -368,12 +321,12 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
 
 
 def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:
-    """What of the distances to a goal has changed from one oracle of it to another."""
+    """Compare the distances of two oracles of the same goal, triangle by triangle."""
     change = Change.between(before.workspace.boundary, after.workspace.boundary)
     old, new = before.workspace.triangulation, after.workspace.triangulation
     boxes = change.boxes(old.tolerance)
     rounding = _ROUNDING * float(before.distances[np.isfinite(before.distances)].max(initial=0.0))
-    # 1. Which source afterwards each was before, the goal or a corner, and by how much its distance changed.
+    # 1. Match old sources (the goal and corners) with new ones, and compute the changes of their distances.
     vertex = np.empty(len(before.family.corners.points), int)
     vertex[before.family.views.owner] = change.old.edges[before.family.views.edge, 0]
     corner = np.append(after.family.of_vertex, -1)[change.vertex[vertex]]
@@ -381,7 +334,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     with np.errstate(invalid="ignore"):
         source_change = np.where(source >= 0, after.distances[source] - before.distances, np.nan)
     source_change[np.abs(source_change) <= rounding] = 0.0
-    # 2. Turn points before around which paths come afterwards as they did, and the turn points that these are now.
+    # 2. Match old turn points with new ones if paths bend around both in the same way.
     turn_of = np.full(len(after.distances) + 1, -1)
     turn_of[after._turns.vertex] = np.arange(len(after._turns.vertex))
     now = turn_of[source[before._turns.vertex]]
@@ -390,30 +343,32 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     change_before = np.where(alike, source_change[before._turns.vertex], np.nan)
     change_after = np.full(len(after._turns.vertex), np.nan)
     change_after[now[alike]] = change_before[alike]
-    # 3. Pairs of a triangle and a source that may see some of it.
+    # 3. List pairs of a triangle and a source that may see a part of it.
     pairs_before = _triangle_sources(before, change_before, boxes)
     pairs_after = _triangle_sources(after, change_after, boxes)
-    # 4. All triangles once: old ones first, then the new ones that are no old ones.
+    # 4. List all triangles once: old ones first, then new ones without an equal old one.
     size = np.int64(len(change.new.vertices))
     keys = []
     for corners in (new.origin, change.vertex[old.origin]):
         a, b, c = np.sort(corners.reshape(-1, 3), axis=1).astype(np.int64).T
         keys.append(np.where(a < 0, -1, (a * size + b) * size + c))
-    same = index_of(*keys)  # the new triangle that each old one is
+    same = index_of(*keys)  # the new triangle that equals each old one, or -1
     kept, num_old = np.flatnonzero(same >= 0), len(same)
     number = np.full(len(keys[0]), -1)
     number[same[kept]] = kept
     number[number < 0] = num_old + np.arange(np.count_nonzero(number < 0))
     triangles = np.concatenate([old.triangles, new.triangles[number >= num_old]])
     pairs_after = replace(pairs_after, triangle=number[pairs_after.triangle])
-    # 5. Triangles whose distances have all changed by one number: NaN where pairs of theirs say otherwise. A pair is
-    #    in doubt only where the way from the source to the triangle may meet what changed.
+    # 5. Compute the shift of each triangle: the common change of its pairs, or NaN if they differ. A pair is in doubt
+    #    only if the hull of source and triangle meets what changed.
     shift = np.zeros(len(triangles))
     least, most = np.full(len(triangles), np.inf), np.full(len(triangles), -np.inf)
     for oracle, pairs in ((before, pairs_before), (after, pairs_after)):
         rows = np.flatnonzero(pairs.is_doubted)
         points = oracle.sources.points[pairs.source[rows], None]
-        pairs.is_doubted[rows] = are_met(np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes)
+        pairs.is_doubted[rows] = hulls_meet_boxes(
+            np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes
+        )
         shift[pairs.triangle[pairs.is_doubted | np.isnan(pairs.change)]] = np.nan
         known = ~np.isnan(pairs.change)
         np.minimum.at(least, pairs.triangle[known], pairs.change[known])
@@ -425,7 +380,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     shift[np.abs(shift) <= rounding] = 0.0
     was_cut_off = np.arange(len(triangles)) < num_old
     was_cut_off[pairs_before.triangle] = False
-    pairs = pairs_before.of(np.isnan(shift)), pairs_after.of(np.isnan(shift))
+    pairs = pairs_before.of_triangles(np.isnan(shift)), pairs_after.of_triangles(np.isnan(shift))
     slack = 4 * before.workspace.tolerance
     return ChangedDistances(boxes, source, source_change, triangles, shift, was_cut_off, *pairs, rounding, slack)
 
@@ -433,14 +388,14 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
 def _triangle_sources(
     oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
 ) -> TriangleSources:
-    """The pairs of an oracle; the goal is a source of each triangle of which it may see some, and has not changed."""
+    """Return the pairs of an oracle; the goal, which has not changed, is a source of triangles that it may see."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
-    seen = np.flatnonzero(may_see(oracle._goal_table, np.zeros(len(triangles), int), triangles))
+    seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
     source = np.append(oracle._turns.vertex[regions.turn], 0 * seen)
     is_doubted = np.zeros(len(oracle.distances), bool)
     for first, table in ((0, oracle._goal_table), (1, oracle.family.table)):
         view = np.arange(len(table.points))
         for box in boxes:
-            is_doubted[first + view] |= may_see(table, view, box)
+            is_doubted[first + view] |= may_see_polygons(table, view, box)
     return TriangleSources(triangle, source, np.append(change[regions.turn], 0.0 * seen), is_doubted[source])

@@ -16,11 +16,11 @@ FAR, FARTHER = shapely.box(5, 0, 6, 1), shapely.box(8, 0, 9, 1)
     ("ring", "message"),
     [
         (np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]), "P is not a simple polygon.*Self-intersection"),
-        (1e155 * np.array(SQUARE), "P has coordinates beyond 1e\\+100"),
+        (1e155 * np.array(SQUARE), "P must have coordinates up to 1e\\+100"),
         (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
-        (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P has coordinates that are not finite"),
-        ((1, 2), r"P must have shape \(n, 2\), got \(2,\). One ring alone goes into a list"),
+        (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P must have finite coordinates"),
+        ((1, 2), r"P must have shape \(n, 2\), got \(2,\). Put a single ring into a list"),
         (shapely.LineString([[1, 1], [2, 2]]), "P must be a polygon, got a LineString"),
         ("ring", r"P must be numbers"),
         (shapely.Polygon([[1, 1], [2, 2], [2, 1], [1, 2]]), "P is not a simple polygon"),
@@ -34,10 +34,10 @@ def test_invalid_rings_are_refused_by_name_and_reason(ring, message):
 @pytest.mark.parametrize(
     ("shapes", "message"),
     [
-        (5, r"Ps must be rings \(n, 2\) or Shapely polygons in a list, got 5"),
+        (5, r"Ps must be a list of rings \(n, 2\) or Shapely polygons, got 5"),
         (shapely.Point(1, 1), "P 0 must be a polygon, got a Point"),
         (shapely.GeometryCollection([FAR, shapely.Point(1, 1)]), "P 1 must be a polygon, got a Point"),
-        (SQUARE, r"P 0 must have shape \(n, 2\), got \(2,\). One ring alone goes into a list"),
+        (SQUARE, r"P 0 must have shape \(n, 2\), got \(2,\). Put a single ring into a list"),
     ],
 )
 def test_what_is_no_collection_of_polygons_is_refused(shapes, message):

@@ -46,7 +46,7 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
     ("ask", "message"),
     [
         (lambda: Box((0, 0), (1, 0)), "positive width along every axis.*axis 1"),
-        (lambda: Box((0, 0), (1, 1, 1)), "one length"),
+        (lambda: Box((0, 0), (1, 1, 1)), "equal length"),
         (lambda: Box((0, np.nan), (1, 1)), "Box lo must have finite coordinates"),
         (lambda: Box((0, 0), (np.inf, 1)), "Box hi must have finite coordinates"),
         (lambda: Box(0.0, 1.0), r"Box lo must be one point of shape \(dim,\), got shape \(\)"),
@@ -59,7 +59,7 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
         ),
         (lambda: Box(*UNIT).contains(np.zeros((1, 3))), r"shape \(n, 2\), got \(1, 3\)"),
         (lambda: Box(*UNIT).grid(0), "integer >= 1"),
-        (lambda: Box(*SPACE).grid(4), "two dimensions, got 3"),
+        (lambda: Box(*SPACE).grid(4), "2 dimensions, got 3"),
         *(
             (lambda ask=ask, x=x: ask(x), message)
             for ask in (TURN.wrapped, lambda x: TURN.difference(x, [0.0, 0]), lambda x: TURN.image_near([0, 0], x))
@@ -71,10 +71,10 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
         *(
             (lambda at=at: Slice.of(Box(*SPACE), at), message)
             for at, message in (
-                (None, "of 3 coordinates, at must give 1, got 0"),
-                ({0: 1.0, 1: 0.0}, "must give 1, got 2"),
-                ({3: 1.0}, "at must be coordinates by axis"),
-                ({-1: 6.0}, "at must be coordinates by axis"),
+                (None, "so at must fix 1 of 3 coordinates, got 0"),
+                ({0: 1.0, 1: 0.0}, "must fix 1 of 3 coordinates, got 2"),
+                ({3: 1.0}, "at must map axes to coordinates"),
+                ({-1: 6.0}, "at must map axes to coordinates"),
                 ({0: 9.0}, "at must lie in Box"),
                 ({0: float("nan")}, "must have finite coordinates"),
             )

@@ -4,7 +4,7 @@ import shapely
 from piece_helpers import random_obstacle
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.changes import may_see
+from plr_jax.geometry.changes import may_see_polygons
 from plr_jax.geometry.corners import corner_visibility
 
 BOUNDS = ((0, 0), (8, 8))
@@ -82,7 +82,7 @@ def test_obstacles_keep_their_numbers_and_come_back():
         ({"remove": [0.5]}, "integer"),
         ({"remove": [shapely.box(0, 0, 1, 2)]}, "or polygons that equal one"),
         ({"remove": [[(0, 0), (1, 0), (1, 2)]]}, "or polygons that equal one"),
-        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* One ring alone goes into a list"),
+        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* Put a single ring into a list"),
         ({"add": [[(0, 0), (1, 1)]]}, "Added obstacle 0 has 2 distinct vertices"),
         ({"add": [shapely.box(-1, -1, 9, 9)]}, "no free space"),
     ],
@@ -91,7 +91,7 @@ def test_changes_that_cannot_be_are_refused(change, message):
     workspace = Workspace(BOUNDS, [shapely.box(0, 0, 1, 1)])
     with pytest.raises(ValueError, match=message):
         workspace.with_obstacles(**change)
-    with pytest.raises(ValueError, match="not those that are gone"):
+    with pytest.raises(ValueError, match="not removed already"):
         workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
 
 
@@ -103,7 +103,7 @@ def test_no_point_is_seen_of_polygons_that_may_not_be_seen(seed):
     view, lo = rng.integers(0, len(table.points), 4000), rng.uniform(0, 7.6, (4000, 2))
     size = rng.uniform(0.01, 0.4, (4000, 2))
     hulls = np.stack([lo + size * np.array(corner) for corner in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)
-    some = may_see(table, view, hulls)
+    some = may_see_polygons(table, view, hulls)
     assert 300 < some.sum() < 3700
     for _ in range(20):
         x = lo + size * rng.random((4000, 2))

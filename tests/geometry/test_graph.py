@@ -12,7 +12,7 @@ from plr_jax.geometry.graph import (
     dijkstra,
     first_visible,
     first_visible_in_parts,
-    first_visible_of_some,
+    first_visible_ragged,
     path_to_root,
 )
 
@@ -106,7 +106,7 @@ def test_ways_that_differ_from_point_to_point(seed):
         np.testing.assert_array_equal(owner[pair], point)
         return visible[pair]
 
-    pair, shortest = first_visible_of_some(lengths.copy(), counts, sees)
+    pair, shortest = first_visible_ragged(lengths.copy(), counts, sees)
     of_point = (owner == np.arange(12)[:, None]) & visible
     np.testing.assert_array_equal(shortest, np.min(np.where(of_point, lengths, np.inf), axis=1, initial=np.inf))
     found = np.flatnonzero(np.isfinite(shortest))

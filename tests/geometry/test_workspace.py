@@ -219,10 +219,13 @@ def test_a_sliver_of_free_space_is_sampled_at_once():
     ("build", "message"),
     [
         (lambda: Workspace(TEN, [box(8, 8, 9, 9), "ring"]), "Obstacle 1 must be numbers"),
-        (lambda: Workspace(((0, 0), (1, 1e155))), "coordinates go to 1e"),
-        (lambda: Workspace(((0, 0), (1e-160, 1e-160))), "longer side is at least 1e-100, .* choose a smaller unit"),
-        (lambda: Workspace(((1e12, 0), (1e12 + 1, 1))), "10 times what coordinates there resolve, 1, .* an origin"),
-        (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "two dimensions"),
+        (lambda: Workspace(((0, 0), (1, 1e155))), "coordinates up to 1e"),
+        (
+            lambda: Workspace(((0, 0), (1e-160, 1e-160))),
+            "longer side must be at least 1e-100, .* choose a smaller unit",
+        ),
+        (lambda: Workspace(((1e12, 0), (1e12 + 1, 1))), "10 times its tolerance, 1, .* the origin"),
+        (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "2 dimensions"),
         (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
         (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
         (lambda: Workspace.from_polygons([]), "at least one component"),

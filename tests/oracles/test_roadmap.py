@@ -276,9 +276,9 @@ SAMPLED = {"is_visible": None, "resolution": 0.1}
         ({"is_visible": None, "resolution": 0.0}, "resolution must be a positive finite number"),
         ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
         ({"is_visible": lambda a, b: np.ma.masked_equal(a[:, 0] < 2, True)}, "is_visible .* some masked"),
-        ({"is_free": lambda x: np.all(x < 1e-3, axis=1), "goal": (0, 0), **SAMPLED}, "tighten the domain"),
+        ({"is_free": lambda x: np.all(x < 1e-3, axis=1), "goal": (0, 0), **SAMPLED}, "shrink the domain"),
         ({"is_free": lambda x: np.ones(len(x)), **SAMPLED}, "is_free must return one boolean"),
-        ({"weights": (1.0, 0.0)}, r"weights must be positive, one an axis, got \[1.0, 0.0\]"),
+        ({"weights": (1.0, 0.0)}, r"weights must be positive, one per axis, got \[1.0, 0.0\]"),
         ({"weights": (1.0,)}, r"weights must be one point of shape \(2,\)"),
     ],
 )

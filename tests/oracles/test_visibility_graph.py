@@ -134,7 +134,7 @@ def test_what_follows_from_the_rest_is_not_pickled():
         (lambda wall: VisibilityGraph(WALL, (1, 2, 3)), r"goal must be one point of shape \(2,\), got shape \(3,\)"),
         (lambda wall: wall(np.zeros((5, 3))), r"\(n, 2\), got \(5, 3\)"),
         (lambda wall: wall.directions(np.zeros(2)), r"x must have shape \(n, 2\)"),
-        (lambda wall: wall.between(np.zeros((2, 2)), np.zeros((3, 2))), "as many points, got 2 and 3"),
+        (lambda wall: wall.between(np.zeros((2, 2)), np.zeros((3, 2))), "equally many points, got 2 and 3"),
         (lambda wall: wall.between(np.zeros((1, 2)), np.zeros((1, 3))), r"y must .*\(n, 2\)"),
         (lambda wall: VisibilityGraph(WALL, [(1, 1), (2, 2), (3, 3)]), r"one point .* shape \(3, 2\).*NearestGoal"),
         (lambda wall: wall.shortest_path(np.zeros((1, 2))), r"The start must be one point of shape \(2,\)"),

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, ChangingFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
+from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.convex_pieces import boxes_as_pieces, difference_of_cones
 from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, OwnBoxes, best_axes, expand
 from plr_jax.plr.cell_memory import sources_down
@@ -166,7 +166,7 @@ class ConeLeaves:
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)
-        cut[rows] = are_met(np.stack([sources.points[pairs.source[rows]], *corners], axis=1), changed.boxes)
+        cut[rows] = hulls_meet_boxes(np.stack([sources.points[pairs.source[rows]], *corners], axis=1), changed.boxes)
         return cut
 
     def _meeting(self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]) -> tuple[Leaf, Leaf]:
