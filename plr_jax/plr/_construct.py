@@ -212,13 +212,13 @@ def construct(
     if leaf == BEST:
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        contents, is_interrupted = best_leaves(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
+        contents, is_interrupted = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
         if is_interrupted:
             message = "Interrupted: the PLR is the best one built so far."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     else:
         contents = build(leaf, distance_fn)
-    if isinstance(distance_fn, FreeSpaceFn) and (advice := _advice(distance_fn, domain)):
+    if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
         warnings.warn(advice, stacklevel=2)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
@@ -247,7 +247,7 @@ def _build_leaves(
         folding = folding_of(distance_fn, domain)
     checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
-    require_integer("num_samples", num_samples, model.least_samples(domain.dim))
+    require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
     # 2. Wrap the distance function: cells it answers for, workers and a checkpoint, folded points.
     memory = CellMemory(distance_fn, domain) if answers_for_cells and domain.dim == 2 else None
@@ -259,7 +259,7 @@ def _build_leaves(
         distance_fn = ParallelOracle(distance_fn, options.executor, kept)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
-        distance_fn = partial(_of_folded, distance_fn, folding)
+        distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
     pattern, dense = (
@@ -284,7 +284,7 @@ def _build_leaves(
     return contents
 
 
-def _of_folded(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
+def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
     """Distances of points that fold to given ones."""
     return call_oracle(distance_fn, folding.unfolded(z))
 
@@ -298,7 +298,7 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def _advice(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
     """Return a warning if most free points do not reach the goal."""
     x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
     try:
@@ -318,7 +318,7 @@ def _advice(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _OracleOfBox:
+class _BoxOracle:
     """An oracle that finds what it says of a box, as one cell, once for all leaf models that are tried."""
 
     oracle: CellwiseFn
@@ -339,7 +339,7 @@ class _OracleOfBox:
         return np.ma.filled(self.oracle(x), np.inf)
 
 
-def best_leaves(
+def build_best_model(
     build: Callable[[str, DistanceFn], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
@@ -369,7 +369,7 @@ def best_leaves(
         ValueError: If no model can be built.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
-        distance_fn = _OracleOfBox(distance_fn, grown_domain(domain))
+        distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
     names = _models_to_try(distance_fn, domain, proof, max_bytes, only_bytes)
     best, least, refused = None, math.inf, []
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
@@ -422,7 +422,7 @@ def _models_to_try(
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
-    if not isinstance(distance_fn, _OracleOfBox):
+    if not isinstance(distance_fn, _BoxOracle):
         return others
     corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
     share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0

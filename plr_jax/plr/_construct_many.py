@@ -23,7 +23,7 @@ from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.sampling import sample_pattern
 from plr_jax.plr.tree import grown_domain
-from plr_jax.plr.work import Checkpoint, Chunk, Done, digest_of
+from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
 
@@ -105,7 +105,7 @@ def construct_many(
         seed=seed,
         options=options,
     )
-    done = Done(len(oracles), kept)
+    done = BuildResults(len(oracles), kept)
     families: dict[int, list[int]] = {}
     for number in (number for number, file in enumerate(done.results) if file is None):
         oracle = oracles[number]

@@ -9,11 +9,11 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
 from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
-from plr_jax.plr.cell_memory import sources_down
+from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
-from plr_jax.plr.leaves import Cone, ConeLeaves, PricedNodes, updated_cones
+from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
 from plr_jax.plr.leaves.base import check_limits
 
 _COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
@@ -32,7 +32,7 @@ def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Ce
     coefficients = filled_coefficients(contents)
     # The sources of all leaves as cells, found down the tree.
     tree, parts, leaves = contents.tree, [], []
-    for nodes, of_nodes in sources_down(tree, root, domain):
+    for nodes, of_nodes in sources_by_level(tree, root, domain):
         is_leaf = tree.child[nodes] < 0
         parts.append(of_nodes.of_cells(np.flatnonzero(is_leaf)))
         leaves.append(nodes[is_leaf])
@@ -47,7 +47,7 @@ def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Ce
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
-    rounding = leaf.rounding(domain, cells, coefficients)
+    rounding = leaf.rounding_bounds(domain, cells, coefficients)
     return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
 
 
@@ -73,7 +73,7 @@ class BuildInputs:
         max_leaves: Most leaves, likewise.
         tolerance: Errors that do not count, likewise.
         bounds: What is proven of each leaf; None: what the file has of it.
-        priced: What the leaf model knows of the nodes of the tree; None: nothing yet.
+        node_costs: What the leaf model knows of the nodes of the tree; None: nothing yet.
     """
 
     oracle: DistanceFn
@@ -81,7 +81,7 @@ class BuildInputs:
     max_leaves: int | None = None
     tolerance: int | float | None = None
     bounds: LeafBounds | None = None
-    priced: PricedNodes | None = None
+    node_costs: NodeCosts | None = None
 
 
 def can_be_updated(contents: DecodedFile) -> bool:
@@ -120,15 +120,15 @@ def updated_contents(
         bounds = LeafBounds(lower, upper)
     leaves = ConeLeaves(domain, contents.tree, contents.stored, bounds, changed.slack)
     try:
-        found = updated_cones(leaves, origin.priced, changed, oracle, before, limits)
+        found = updated_cones(leaves, origin.node_costs, changed, oracle, before, limits)
     except BudgetTooSmall as error:
         raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
     new = DecodedFile(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
-    rounding, anew = model.rounding(domain, new.tree.leaves, coefficients), found.rebuilt
-    enough = partial(certificate.enough, rounding=rounding[anew])
-    functions = LeafFunctions(model, *new.tree.leaves[anew].boxes(domain), coefficients[anew])
-    proven = prove_bounds(functions, found.visible, enough)
-    bounds.lower[anew], bounds.upper[anew] = proven.lower, proven.upper
+    rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
+    sufficient = partial(certificate.sufficient_bounds, rounding=rounding[rebuilt])
+    functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
+    proven = prove_bounds(functions, found.visible, sufficient)
+    bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
     new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
-    return new, replace(origin, oracle=oracle, bounds=bounds, priced=found.priced)
+    return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)

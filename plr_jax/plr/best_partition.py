@@ -25,8 +25,8 @@ from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
-AT_ONCE = 1 << 14  # boxes
-UNKNOWN, POOR = -1, -2
+BOXES_PER_BATCH = 1 << 14  # boxes
+UNKNOWN, PRUNED = -1, -2
 
 
 @dataclass(eq=False)
@@ -97,7 +97,7 @@ def expand(
                 child, cost = level.child[:, :, parent], levels[depth + 1].costs(share)
                 halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
                 axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
-                level.child[axis, :, parent[which]] = POOR
+                level.child[axis, :, parent[which]] = PRUNED
         if depth + 1 < len(levels):
             box, halves = np.flatnonzero(price < np.inf), np.full(len(levels[depth + 1].key), np.inf)
             for child in level.child[:, :, box].reshape(4, -1):
@@ -121,8 +121,8 @@ def _add_halves(
     is_upper = np.arange(len(parent)) % 2 == 1
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
     parent, axis, is_upper = parent[order], axis[order], is_upper[order]
-    for begin in range(0, len(parent), AT_ONCE):
-        some = slice(begin, begin + AT_ONCE)
+    for begin in range(0, len(parent), BOXES_PER_BATCH):
+        some = slice(begin, begin + BOXES_PER_BATCH)
         known = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
         boxes, key, of_half = level.boxes.new_halves(parent[some], axis[some], is_upper[some], known)
         if not len(known):
@@ -156,13 +156,13 @@ class SearchPruning(NamedTuple):
         margin: Times as much as along the other axis halves may cost to be looked at further.
         attempts: To find a price with which a tree is full.
         full: The share of what the limits allow with which it is.
-        is_walked: Whether a file holds a tree as it was found; else as :func:`tree_of` has it, which takes longer.
+        keeps_split_order: Whether a file holds a tree as it was found; else as :func:`tree_of` has it, which takes longer.
     """
 
     margin: float = np.inf
     attempts: int = 12
     full: float = 0.997
-    is_walked: bool = False
+    keeps_split_order: bool = False
 
 
 EXACT = SearchPruning()
@@ -202,7 +202,7 @@ class Forest:
         return sum(map(len, self.trees))
 
 
-class OwnBoxes(NamedTuple):
+class MemberBoxes(NamedTuple):
     """The boxes of one level that a member looked at, and where their halves stand among its own of the next."""
 
     box: Int[np.ndarray, "own"]
@@ -219,7 +219,7 @@ class PriceSearch:
         size: Gives the bytes of the file of a member's tree.
         num_sources: How many sources leaves may name; a file holds those that they do. Going by them the search goes
             less far beyond its limits.
-        thrift: What it leaves out.
+        pruning: What it leaves out.
     """
 
     def __init__(
@@ -229,13 +229,13 @@ class PriceSearch:
         limits: Limits,
         size: Callable[[int, PricedTree], int],
         num_sources: int = 0,
-        thrift: SearchPruning = EXACT,
+        pruning: SearchPruning = EXACT,
     ) -> None:
         self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
-        self._num_sources, self._thrift = num_sources, thrift
+        self._num_sources, self._pruning = num_sources, pruning
         self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._own: list[list[OwnBoxes]] = [[]] * len(roots)
+        self._own: list[list[MemberBoxes]] = [[]] * len(roots)
 
     def first(self) -> Forest:
         """The smallest trees.
@@ -245,7 +245,7 @@ class PriceSearch:
         """
         trees = []
         for member in range(len(self._roots)):
-            self._look(member, _HIGH, 1.0)
+            self._select_boxes(member, _HIGH, 1.0)
             tree = self._tree(member, _HIGH, 1.0)
             if tree.num_bytes > self._limits.max_bytes:
                 what = "one leaf" if len(tree) == 1 else f"a tree of {len(tree)} leaves"
@@ -258,7 +258,7 @@ class PriceSearch:
     def next(self, now: Forest) -> Forest | None:
         """Larger trees, after more boxes were looked at; None if there are none."""
         trees = list(now.trees)
-        aims = {i: self._aim(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
+        aims = {i: self._next_price(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
         if not aims:
             return None
         limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
@@ -267,16 +267,16 @@ class PriceSearch:
         # One look serves all: a member uses no box that it would not have looked at alone.
         least_share = max(share for _, share in aims.values())
         share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
-        expand(self.levels, price, least_share, limits, self._thrift.margin, share)
+        expand(self.levels, price, least_share, limits, self._pruning.margin, share)
         for member, (of_member, least_share) in aims.items():
-            is_final = self._look(member, of_member, least_share)
+            is_final = self._select_boxes(member, of_member, least_share)
             larger = self._tree(member, _LAST * of_member if is_final else of_member, least_share, is_final)
             trees[member] = (
                 larger if self._share(larger) <= 1 else self._largest(member, trees[member], larger, least_share)
             )
         return Forest(trees)
 
-    def _aim(self, member: int, now: PricedTree) -> tuple[float, float]:
+    def _next_price(self, member: int, now: PricedTree) -> tuple[float, float]:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now.
 
         With it comes how much of a box's largest error counts.
@@ -290,7 +290,7 @@ class PriceSearch:
         if len(now) == 1:
             room = max(_FIRST_SHARE * room, 2.0)
             return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
-        before = len(self._tree_alone(member, _RATE_STEP * now.price, least_share))
+        before = len(self._best_tree(member, _RATE_STEP * now.price, least_share))
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, least_share
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
@@ -299,7 +299,7 @@ class PriceSearch:
 
     def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
         """The best tree of what was looked at."""
-        tree = self._tree_alone(member, price, least_share)
+        tree = self._best_tree(member, price, least_share)
         num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
@@ -310,7 +310,7 @@ class PriceSearch:
     def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
         """The largest tree that fits, of prices between one that does and one that does not."""
         largest = fits
-        for attempt in range(self._thrift.attempts):
+        for attempt in range(self._pruning.attempts):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._share(fits), self._share(beyond)])
             aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
@@ -320,11 +320,11 @@ class PriceSearch:
                 fits = largest = middle
             else:
                 beyond = middle
-            if self._share(largest) > self._thrift.full:
+            if self._share(largest) > self._pruning.full:
                 break
         return replace(largest, is_final=True)
 
-    def _look(self, member: int, price: float, least_share: float) -> bool:
+    def _select_boxes(self, member: int, price: float, least_share: float) -> bool:
         """Note which boxes a member looks at, at a price of a leaf; whether these are all that matter."""
         here, own, is_all = self._roots[member : member + 1], [], True
         for depth, level in enumerate(self.levels):
@@ -335,7 +335,7 @@ class PriceSearch:
             rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
             is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
             child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
-            own.append(OwnBoxes(here, child))
+            own.append(MemberBoxes(here, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
                 known = child >= 0
@@ -348,7 +348,7 @@ class PriceSearch:
         self._own[member] = own
         return is_all
 
-    def _tree_alone(self, member: int, price: float, least_share: float) -> PricedTree:
+    def _best_tree(self, member: int, price: float, least_share: float) -> PricedTree:
         """The member's tree for which costs of leaves and their prices together are least."""
         own = self._own[member]
         axes = best_axes(self.levels, own, price, least_share)
@@ -367,7 +367,7 @@ class PriceSearch:
 
 
 def best_axes(
-    levels: list[BoxLevel], own: list[OwnBoxes], price: float, least_share: float
+    levels: list[BoxLevel], own: list[MemberBoxes], price: float, least_share: float
 ) -> list[Int[np.ndarray, "own"]]:
     """Along which axis each box is halved, -1 for none, so that costs of leaves and their prices are least."""
     choices, below = [], np.zeros(0)

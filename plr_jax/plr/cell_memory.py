@@ -60,7 +60,7 @@ class CellMemory:
         return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
 
 
-def sources_down(
+def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
     """The nodes of a tree, level by level from that of the grown domain, and their sources as cells."""

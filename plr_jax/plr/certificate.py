@@ -37,7 +37,7 @@ from plr_jax.plr.frame import LARGEST
 # the way there, which is free.
 
 
-ConesAbove: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
 """Smallest and largest value, over pieces, of cones minus what leaves hold.
 
 Its arguments are the pieces, apexes and offsets of cones, one a piece, and the row of the leaf that each piece is of.
@@ -45,7 +45,7 @@ Its arguments are the pieces, apexes and offsets of cones, one a piece, and the 
 
 
 def bounds_of_pieces(
-    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConesAbove
+    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Bounds of the distance minus what a leaf holds, over pieces, to within their ``slack``.
 
@@ -80,19 +80,21 @@ class LeafFunctions:
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
-    def below_cones(self, leaf: Int[np.ndarray, "n"]) -> ConesAbove:
+    def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
         """Return a function that bounds cones minus the functions of given leaves, from which rows choose."""
 
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
-            return self.model.below_cones(*functions, pieces, apex, offset)
+            return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
 
         return of_rows
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
         """Bound the largest error in each leaf, from its sources as a cell; 0 where nothing reaches the goal."""
-        lower, upper = bounds_of_pieces(visible, np.arange(len(visible.cell)), self.below_cones(visible.cell))
+        lower, upper = bounds_of_pieces(
+            visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
+        )
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
         return errors
@@ -119,7 +121,7 @@ Errors: TypeAlias = Float[np.ndarray, "leaves"]
 def prove_bounds(
     functions: LeafFunctions,
     visible: CellSources,
-    enough: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
+    sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
 ) -> LeafBounds:
     """Bounds for leaves, whose sources are given as cells.
 
@@ -128,7 +130,7 @@ def prove_bounds(
     Args:
         functions: What the leaves hold.
         visible: Their sources.
-        enough: What bounds of leaves need not be better than, given errors that are met; None: such as are close to
+        sufficient: What bounds of leaves need not be better than, given errors that are met; None: such as are close to
             these, or off by little of the largest error of all.
     """
     num_leaves = visible.num_cells
@@ -140,7 +142,7 @@ def prove_bounds(
         met = visible.distance - functions.model.values(*here, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
-        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.below_cones(leaf))
+        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
         # Bounds that need not be better, given errors that are met.
         largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (
@@ -148,8 +150,8 @@ def prove_bounds(
             + visible.slack
         )
         low_enough, high_enough = least - spare, most + spare
-        if enough is not None:
-            low, high = enough(least - visible.slack, most + visible.slack)
+        if sufficient is not None:
+            low, high = sufficient(least - visible.slack, most + visible.slack)
             low_enough = np.minimum(low_enough, low + visible.slack)
             high_enough = np.maximum(high_enough, high - visible.slack)
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
@@ -158,12 +160,12 @@ def prove_bounds(
         np.maximum.at(upper, leaf[~open_], above[~open_])
         if not open_.any():
             break
-        visible = _halved(visible, np.flatnonzero(open_))
+        visible = _halve_pieces(visible, np.flatnonzero(open_))
         leaf = leaf[open_][visible.cell // 2]
     return LeafBounds(lower - visible.slack, upper + visible.slack)
 
 
-def _halved(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
+def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
     """Both halves of some pieces, each cut across where it is longest: two cells a piece."""
     alone = visible.pieces_as_cells(piece)
     lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
@@ -186,7 +188,7 @@ _BITS_A_CLASS = 53  # its bounds, and what a set takes besides its members
 _PRICES = np.ldexp(1.0, -np.arange(60))  # of a bit, in widths of the one class that all leaves may be
 
 
-def in_classes(
+def classify_bounds(
     codes: Integer[np.ndarray, "2 leaves"],
     code_factor: Float[np.ndarray, "codes"],
     volume: Float[np.ndarray, "leaves"],
@@ -250,7 +252,7 @@ def requantize_bounds(
 
 
 def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
-    if len(np.unique(_as_numbers(codes))) > 1 << _COUNT_BITS:
+    if len(np.unique(_class_keys(codes))) > 1 << _COUNT_BITS:
         return False
     body = BitWriter()
     write_classes(body, codes)
@@ -260,7 +262,7 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
     """Append bounds of classes, at most 16 different ones, and the class of each leaf."""
     _, first, class_of, size = np.unique(
-        _as_numbers(codes), return_index=True, return_inverse=True, return_counts=True
+        _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )
     classes, order = codes[:, first], np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
@@ -270,12 +272,12 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
         place = place[place > each]
 
 
-def distinct(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
+def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
     """Each class once."""
-    return codes[:, np.unique(_as_numbers(codes), return_index=True)[1]]
+    return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
-def _as_numbers(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
+def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
     """Both codes of each as one number, in their order."""
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
@@ -352,16 +354,16 @@ class Certificate:
         if proof is Proof.OPEN_LEAVES:
             largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # so that no bound has the largest code
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
-        codes = np.stack([_codes(lower, scale), _codes(np.where(is_open, scale, upper), scale)])
+        codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
-            room, factor = _room_for_classes(num_bytes), _of_codes(np.arange(_MOST + 1), 1.0)
+            room, factor = _room_for_classes(num_bytes), _decode_bounds(np.arange(_MOST + 1), 1.0)
             found = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
-                of_scale = np.stack([_codes(lower, before.scale), _codes(upper, before.scale)])
-                found = requantize_bounds(of_scale, distinct(before.codes), factor, room)
+                of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
+                found = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
                 scale = scale if found is None else before.scale
             if found is None:
-                found = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
+                found = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), room)
             codes = None if (found == found[:, :1]).all() else found
         return Certificate(scale, codes, proof)
 
@@ -374,7 +376,7 @@ class Certificate:
         """What is to be added to answers for lower and upper bounds, exact in 32 bits: of each leaf, or of all."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
-        lower, upper = _of_codes(self.codes, self.scale)
+        lower, upper = _decode_bounds(self.codes, self.scale)
         if self.proof is Proof.OPEN_LEAVES:
             upper[self.codes[1] == _MOST] = np.inf
         return np.stack([-lower, upper])
@@ -382,10 +384,10 @@ class Certificate:
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
         """Bounds of all classes, the narrowest first."""
-        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct(self.codes)).bounds()
+        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
-    def enough(
+    def sufficient_bounds(
         self,
         least: Float[np.ndarray, "leaves"],
         most: Float[np.ndarray, "leaves"],
@@ -430,16 +432,16 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certific
     return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
 
 
-def _of_codes(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
+def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
     """Bounds of codes, as 32-bit floats that are not below them."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
-def _codes(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
+def _encode_bounds(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
     """The smallest codes whose bounds are not below."""
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)
-    short = (_of_codes(code, scale) < bound) & (code < _MOST)  # by rounding of the logarithm
+    short = (_decode_bounds(code, scale) < bound) & (code < _MOST)  # by rounding of the logarithm
     return code + short.astype(np.uint8)

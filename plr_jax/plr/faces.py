@@ -79,7 +79,7 @@ ZERO = 1e-9
 """Below which combinations of weights that are multiples of small powers of two are 0."""
 
 
-def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
+def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
     """From what every dependent value is made of to what it is made of in the end: free values alone."""
     from scipy.sparse import csr_array, diags_array
 
@@ -90,7 +90,7 @@ def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
     return step
 
 
-def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
+def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
     """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
     from scipy.sparse import csr_array
 
@@ -103,7 +103,7 @@ def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -
         row: dict[int, float] = {}
         for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
             work += _add(row, weight, solved.get(index, {index: 1.0}))
-        require_few(work, most)
+        check_num_weights(work, most)
         if not row:
             continue
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
@@ -133,7 +133,7 @@ def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
     return len(other)
 
 
-def require_few(number: int | float, most: int) -> None:
+def check_num_weights(number: int | float, most: int) -> None:
     """Raise ``ValueError`` if weights are more than are allowed."""
     if number > most:
         raise ValueError(
@@ -266,7 +266,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     return low[:, None] + (high - low)[:, None] * w
 
 
-def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
+def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
     """For every corner of every leaf the two between which a split put it, and whether one did.
 
     The youngest split that made a corner halved an edge of the split cell: the corner is the middle of that edge.

@@ -133,7 +133,7 @@ class Nodes(Rows):
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
 
-    def leaves_after(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
+    def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
         """Leaves of the tree whose inner nodes are the given ones."""
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
@@ -167,7 +167,7 @@ def nodes_of_fit(
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
-    may_split = (priority > least_priority(fit, limits)) & is_open(fit.cells, axis, limits)
+    may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
     return Nodes(
         cells=fit.cells,
         coefficients=coefficients,
@@ -184,7 +184,7 @@ def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
     return np.maximum(limits.tolerance, fit.noise)
 
 
-def is_open(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
+def is_within_depth(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
     """Which cells the limits on depth allow to be halved along the given axes."""
     along = cells.depth[np.arange(len(cells)), axis]
     return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
@@ -351,7 +351,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
         if not few.any():
             return nodes_of(fit, bound)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+        fits = (fit[~few], bound[~few]), (sampler.sample_densely(cells[few]), bound[few])
         first, *others = (nodes_of(*each) for each in fits if len(each[1]))
         return first.append(*others)[np.argsort(order)]
 
@@ -373,7 +373,7 @@ def grow_best_first(
         order = split_order(nodes)
         allowed = limits.max_leaves - 1
         if np.isfinite(limits.max_bytes):  # then at most about as many as the bytes a leaf takes so far allow
-            leaf = nodes.leaves_after(order[nodes.child[order] >= 0][:allowed])
+            leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
             enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
             bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
             a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
@@ -406,13 +406,13 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
     def most_leaves(bits: int) -> Int[np.ndarray, "leaves"]:
         """Those of the largest tree of that order that fits into the bytes; none if not even the root does."""
         if np.isinf(limits.max_bytes):
-            return nodes.leaves_after(order)
+            return nodes.leaves_of_splits(order)
         enough = bisect_right(
             range(len(order) + 1),
             limits.max_bytes,
-            key=lambda number: encoding.size(nodes, nodes.leaves_after(order[:number]), bits),
+            key=lambda number: encoding.size(nodes, nodes.leaves_of_splits(order[:number]), bits),
         )
-        return nodes.leaves_after(order[: enough - 1]) if enough else np.empty(0, np.int64)
+        return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
     def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
         """Mean error over reachable points: of the fit and of the rounding, which are independent."""

@@ -274,7 +274,7 @@ class Sampler:
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
 
-    def densely(self, cells: Cells) -> CellFit:
+    def sample_densely(self, cells: Cells) -> CellFit:
         """Sample cells again with many more points: those that :attr:`CellFit.is_hardly_seen`."""
         return replace(self, pattern=self.dense_pattern)(cells)
 
@@ -294,7 +294,7 @@ class Sampler:
         return fit
 
 
-def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
+def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """With planes for cells whose free pieces no sample met: tangents at the center of the largest."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):

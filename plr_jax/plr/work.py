@@ -69,11 +69,11 @@ class Checkpoint:
     def add(self, records: Mapping[bytes, bytes]) -> None:
         """Keep what is done."""
         self.records.update(records)
-        self._append(_joined(records))
+        self._append(_encode_records(records))
 
     def finish(self) -> None:
         """Put the records in order, so that the file is the same however the work went."""
-        write_atomically(self._path, self._head + _joined(dict(sorted(self.records.items()))))
+        write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
         """Write behind what is whole, over a record that was cut short."""
@@ -98,7 +98,7 @@ class Checkpoint:
         return end
 
 
-def _joined(records: Mapping[bytes, bytes]) -> bytes:
+def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
     heads = (_RECORD.pack(key, len(record), zlib.crc32(key + record)) for key, record in records.items())
     return b"".join(part for both in zip(heads, records.values(), strict=True) for part in both)
 
@@ -131,18 +131,18 @@ class ParallelOracle:
 
     distance_fn: DistanceFn
     executor: Executor | None
-    kept: Checkpoint | None
+    checkpoint: Checkpoint | None
 
     def __call__(self, x: Points) -> Distances:
         """Distances of points."""
-        if self.kept is None:
-            return self._ask(x)
+        if self.checkpoint is None:
+            return self._evaluate(x)
         key = sha256(np.array(x.shape).tobytes() + x.tobytes()).digest()[:16]
-        if key not in self.kept.records:
-            self.kept.add({key: self._ask(x).tobytes()})
-        return np.frombuffer(self.kept.records[key]).copy()
+        if key not in self.checkpoint.records:
+            self.checkpoint.add({key: self._evaluate(x).tobytes()})
+        return np.frombuffer(self.checkpoint.records[key]).copy()
 
-    def _ask(self, x: Points) -> Distances:
+    def _evaluate(self, x: Points) -> Distances:
         if self.executor is None:
             return call_oracle(self.distance_fn, x)
         parts, futures = [x[begin : begin + _AT_ONCE] for begin in range(0, len(x), _AT_ONCE)], []
@@ -167,7 +167,7 @@ Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
 """Numbers of some parts, and a function that returns the bytes of each, in a process of its own perhaps."""
 
 
-class Done:
+class BuildResults:
     """The bytes of the parts that are done, None for the others.
 
     Args:
@@ -208,19 +208,19 @@ class Done:
             for future in as_completed(futures):
                 with suppress(BrokenExecutor):
                     numbers, _ = futures[future]
-                    self._keep(numbers, future.result())
+                    self._store(numbers, future.result())
                     progress.update(len(numbers))
         except KeyboardInterrupt:
             for future, chunk in futures.items():
                 if future.done() and not future.cancelled() and future.exception() is None:
-                    self._keep(chunk[0], future.result())
+                    self._store(chunk[0], future.result())
             raise
         finally:
             for future in futures:
                 future.cancel()
         return [chunk for chunk in chunks if self.results[chunk[0][0]] is None]
 
-    def _keep(self, numbers: list[int], results: list[bytes]) -> None:
+    def _store(self, numbers: list[int], results: list[bytes]) -> None:
         """Put the parts of a chunk in their places."""
         if self._checkpoint is not None and self.results[numbers[0]] is None:
             self._checkpoint.add({_key(number): data for number, data in zip(numbers, results, strict=True)})

@@ -25,7 +25,7 @@ from plr_jax.plr.certificate import (
     LeafFunctions,
     Proof,
     bounds_of_pieces,
-    in_classes,
+    classify_bounds,
     prove_bounds,
     read_certificate,
     read_classes,
@@ -100,7 +100,7 @@ def test_bounds_are_beyond_all_that_is_met_and_halving_brings_them_close(kind):
     functions = LeafFunctions(leaf_model("plane"), 0 * slope - 1, 0 * slope + 1, np.column_stack([intercept, slope]))
     low, high = sampled(oracle, visible, slope, intercept, rng, 2000)
     piece = rng.integers(len(visible.cell), size=40)
-    cones_above = functions.below_cones(visible.cell[piece])
+    cones_above = functions.cone_minus_leaf_bounds(visible.cell[piece])
     lower, upper = bounds_of_pieces(visible, piece, cones_above)
     assert (lower - visible.slack <= low[piece]).all() and (upper + visible.slack >= high[piece]).all()
     assert (upper - lower <= 40).all()
@@ -207,7 +207,7 @@ def test_no_leaf_is_in_a_class_of_lower_codes_all_keep_their_room_and_are_read_a
     rng = np.random.default_rng(seed)
     codes = rng.geometric(0.03, (2, num_leaves)) + 150 * (rng.random((2, num_leaves)) < 0.02)
     codes = np.clip(codes, 0, 255)
-    found = in_classes(codes, FACTOR, rng.random(num_leaves), room)
+    found = classify_bounds(codes, FACTOR, rng.random(num_leaves), room)
     assert (found >= codes).all()
     np.testing.assert_array_equal(found.max(axis=1), codes.max(axis=1))
     assert written_classes(found).num_bits <= room or (found == found[:, :1]).all()
@@ -222,7 +222,7 @@ def test_two_classes_are_the_best_two(seed):
     """With room for two of few leaves, no other cut of the range of codes has a smaller mean width."""
     rng = np.random.default_rng(seed)
     codes, volume = np.where(rng.random(200) < 0.03, 255, rng.integers(20, 40, (2, 200))), rng.random(200)
-    found = in_classes(codes, FACTOR, volume, 130)
+    found = classify_bounds(codes, FACTOR, volume, 130)
     assert np.unique(found, axis=1).shape[1] == 2
     key = codes.max(axis=0)
     for _, cut in pairwise(np.unique(key)):
@@ -250,7 +250,7 @@ def test_classes_stay_as_far_as_they_hold_and_what_is_enough_is_within_them(seed
     stay = {tuple(each) for each in after.bounds().T.tolist()} <= classes
     assert stay == (after.scale == before.scale) == (error.max() <= 0.1)
     if stay:
-        low, high = before.enough(-error, error, rounding)
+        low, high = before.sufficient_bounds(-error, error, rounding)
         spare = 1.01e-3 * before.scale
         assert ((low >= lower + rounding) | (low >= -error - spare)).all() and (low <= -error).all()
         assert ((high <= upper - rounding) | (high <= error + spare)).all() and (high >= error).all()

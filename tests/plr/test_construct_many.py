@@ -13,7 +13,7 @@ import plr_jax
 from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
 from plr_jax.plr import work as work_module
-from plr_jax.plr.work import Done
+from plr_jax.plr.work import BuildResults
 
 # Many PLRs at once: as good as those that are built alone, and the same whoever builds them and however often.
 
@@ -177,7 +177,7 @@ def finished(work, tmp_path_factory):
 def test_nothing_is_built_twice(work, family, finished, monkeypatch):
     path, files = finished
     assert files[:2] == files_of(family[:2])
-    monkeypatch.setattr(Done, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
+    monkeypatch.setattr(BuildResults, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
     again = many(work, checkpoint=path)
     assert files_of(again) == files
     x = MAZE.sample_free(20, 0)

@@ -102,7 +102,7 @@ def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
     sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
     patterns = [sampling.sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
     sampler = sampling.Sampler(sliver, LINE, None, *patterns, 14)
-    few, many = sampler(Cells.root(1)), sampler.densely(Cells.root(1))
+    few, many = sampler(Cells.root(1)), sampler.sample_densely(Cells.root(1))
     assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
     assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
     assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none

@@ -12,7 +12,7 @@ from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
 from plr_jax.plr.leaves.cone.search import FamilyTask as FamilyTask
 from plr_jax.plr.leaves.cone.search import family_task as family_task
 from plr_jax.plr.leaves.cone.update import ConeLeaves as ConeLeaves
-from plr_jax.plr.leaves.cone.update import PricedNodes as PricedNodes
+from plr_jax.plr.leaves.cone.update import NodeCosts as NodeCosts
 from plr_jax.plr.leaves.cone.update import updated_cones as updated_cones
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues

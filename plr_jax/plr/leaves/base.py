@@ -41,7 +41,7 @@ class LeafModel(ABC):
         num_samples: Samples of a cell, unless others are asked for.
         least_bytes: Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction.
         has_deep_trees: Whether small trees are deep, for which a query's tables have pages: see ``plr/tables.py``.
-        is_of_cells: Whether its functions are of the place in a cell, whose own numbers then stand before the others.
+        is_cell_relative: Whether its functions are of the place in a cell, whose own numbers then stand before the others.
             Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
     """
 
@@ -49,7 +49,7 @@ class LeafModel(ABC):
     num_samples: int = 96
     least_bytes: int | float = 1
     has_deep_trees: bool = False
-    is_of_cells: bool = False
+    is_cell_relative: bool = False
 
     # How it is fitted.
 
@@ -92,19 +92,19 @@ class LeafModel(ABC):
         ...
 
     @abstractmethod
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, of slope 0."""
         ...
 
     @abstractmethod
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The value at a place, by operations whose order is part of the format: see ``plr/portable``.
 
         Args:
-            numbers: Those of the leaf, without the ones of its cell; arrays, scalars or text of a program.
-            place: Along each axis, from 0 to 1 in the leaf's cell or, unless it ``is_of_cells``, how far from the
+            parameters: Those of the leaf, without the ones of its cell; arrays, scalars or text of a program.
+            place: Along each axis, from 0 to 1 in the leaf's cell or, unless it ``is_cell_relative``, how far from the
                 domain's rounded lower corner.
             root: The square root.
         """
@@ -113,7 +113,7 @@ class LeafModel(ABC):
     # How well that is known, for proofs.
 
     @abstractmethod
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -126,7 +126,7 @@ class LeafModel(ABC):
         ...
 
     @abstractmethod
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
@@ -134,16 +134,16 @@ class LeafModel(ABC):
 
     # What follows.
 
-    def num_numbers(self, dim: int) -> int:
+    def num_leaf_parameters(self, dim: int) -> int:
         """How many :attr:`numbers` a query reads of a leaf: as of a value and one more along each axis."""
         return 1 + dim
 
     def check_dim(self, dim: int) -> None:  # noqa: B027
         """Raise ``ValueError`` if the model is not for so many axes; it is for any."""
 
-    def least_samples(self, dim: int) -> int:
+    def min_samples(self, dim: int) -> int:
         """Samples of a cell that determine its function, at the least."""
-        return self.num_numbers(dim)
+        return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Bytes that so many leaves count without a budget: they may be as deep as in a file of that size.
@@ -180,7 +180,7 @@ class LinearLeafModel(LeafModel):
         ...
 
     @abstractmethod
-    def of_planes(
+    def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""

@@ -20,7 +20,7 @@ from plr_jax.plr.leaves.base import (
     Rules,
     largest_coordinates,
 )
-from plr_jax.plr.sampling import CellFit, Sampler, with_unseen_planes
+from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 # Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.
@@ -215,7 +215,7 @@ class Plane(LinearLeafModel):
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            fit = with_unseen_planes(fit, sampler)
+            fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
             if by_proof and sampler.memory is not None:
                 planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
@@ -258,13 +258,13 @@ class Plane(LinearLeafModel):
         """What the coefficients multiply at local coordinates ``u``."""
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
 
-    def of_planes(
+    def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients of planes."""
         return np.column_stack([center, half])
 
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
         """Its plane's value at the corner, and its slopes."""
@@ -273,7 +273,7 @@ class Plane(LinearLeafModel):
         to_center = (lo + hi) / 2 - corner
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -287,17 +287,17 @@ class Plane(LinearLeafModel):
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
-        terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
-        return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
+        parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
+        terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
+        return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))
 
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The value at the corner, to which a product is added axis by axis."""
-        value, *slopes = numbers
+        value, *slopes = parameters
         for slope, along in zip(slopes, place, strict=True):
             value = value + slope * along
         return value

@@ -88,13 +88,13 @@ class Cone(LeafModel):
         """Values at points of the functions of leaves, one a point."""
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
 
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
         """The offset, and the source from the corner."""
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -106,19 +106,21 @@ class Cone(LeafModel):
         """Extremes of other cones minus these, over convex pieces."""
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Of the numbers, of the point, of differences, squares, sums and the root; and of squares that underflow."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
-        along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
-        length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
+        parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
+        along = (
+            2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
+        )  # what is rounded along each axis
+        length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
-        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
+        return 1.01 * UNIT * (beside + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The offset, to which the root is added of the squares of differences, summed axis by axis."""
-        offset, *source = numbers
+        offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
         square, *others = (difference * difference for difference in differences)
         for other in others:
@@ -130,9 +132,9 @@ class Cone(LeafModel):
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
-    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
+    def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
         """All but the offset."""
-        return numbers[1:]
+        return parameters[1:]
 
 
 def as_sourced(leaf: LeafModel) -> Cone:

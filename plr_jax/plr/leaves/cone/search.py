@@ -2,7 +2,7 @@
 
 1. Each box gets the cone whose proven error has the least integral (``ConeBoxes``).
 2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
-3. Leaves of these trees get sources in sight where those serve about as well (``sources_in_sight``).
+3. Leaves of these trees get sources in sight where those serve about as well (``prefer_visible_sources``).
 4. For many goals, boxes that are alike for several of them are looked at once (``FamilyTask``).
 """
 
@@ -20,7 +20,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import (
     EXACT,
-    POOR,
+    PRUNED,
     BoxLevel,
     Forest,
     PricedTree,
@@ -90,7 +90,7 @@ class ConeBoxes(Rows):
             key = of_half = cells.hashes()
             new = rows = _first_of_new(key, known)
             found = visible.parts(parent[rows], axis[rows], is_upper[rows], lo[rows], hi[rows])
-        return fitted_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
+        return fit_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
 
 
 def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
@@ -99,17 +99,17 @@ def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known
     return np.sort(first[~np.isin(distinct, known)])
 
 
-def resolved_error(distances: Float[np.ndarray, "n"]) -> float:
+def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
     """The least error that a query resolves of distances, some of which may be ``inf``."""
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
-def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
     """Boxes with the cone for each whose proven error has the least integral over its free part.
 
     Errors up to what is negligible do not count.
     """
-    best, error, integral = only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
+    best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
         some = visible.of_cells(several)
@@ -121,7 +121,7 @@ def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSour
         box, source = box[order], source[order]
         is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_TRIED
         box, source = box[is_tried], source[is_tried]
-        largest, of_option = errors_of_options(some, box, source)
+        largest, of_option = option_errors(some, box, source)
         order = np.lexsort((some.rank(source), largest, of_option, box))
         order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
@@ -130,7 +130,7 @@ def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSour
     return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
 
 
-def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     """The source of boxes that all of each sees and no other is better for anywhere; -1 for other boxes."""
     only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
     is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # a pair a piece, or none at all
@@ -145,7 +145,7 @@ def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     return only
 
 
-def errors_of_options(
+def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
     """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
@@ -195,17 +195,17 @@ class LeafBoxes:
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> tuple[Tree, LeafBoxes]:
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, keeps_split_order: bool) -> tuple[Tree, LeafBoxes]:
     """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
     found, order = tree_of_axes(tree.axes, 2), tree.order
-    if not is_walked:
+    if not keeps_split_order:
         found = tree_of(found.leaves)
         order = order[found.order]
     depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
-    return found, LeafBoxes(views_of_leaves(levels, tree)[order], depth[order], box[order])
+    return found, LeafBoxes(leaf_views(levels, tree)[order], depth[order], box[order])
 
 
-def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
+def leaf_views(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
     """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
     source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
     source[source >= 0] = levels[0].boxes.visible.views(source[source >= 0])
@@ -213,7 +213,7 @@ def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray,
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
+class SourceOptions:
     """Boxes that are leaves, and the sources that those could have that do not all see their best one, box by box.
 
     Attributes:
@@ -243,7 +243,7 @@ class Options:
     area: Float[np.ndarray, "options"]
 
 
-def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> Options:
+def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> SourceOptions:
     """The options of all boxes that are leaves of some tree."""
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
@@ -269,19 +269,19 @@ def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pa
     above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
     is_hidden = above > _LEAST_SHORTFALL * width
     error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
-    largest, integral = errors_of_options(some.visible, place, source)
+    largest, integral = option_errors(some.visible, place, source)
     area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
     view, is_own = boxes.visible.views(source), source == boxes.source[box]
     first = np.searchsorted(box, np.arange(len(key) + 1))
-    return Options(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
+    return SourceOptions(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
 
 
 def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
     return (tree.depth << _KEY_BITS) + tree.box
 
 
-def sources_in_sight(
-    tree: LeafBoxes, options: Options, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
+def prefer_visible_sources(
+    tree: LeafBoxes, options: SourceOptions, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
     """Viewpoints for the leaves of a tree, another one where a part does not see the best one and that is worth it.
 
@@ -300,7 +300,9 @@ def sources_in_sight(
     return changed(bisect_left(range(1, len(leaf)), True, key=lambda count: not fits(changed(count))))
 
 
-def _changes(tree: LeafBoxes, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
+def _changes(
+    tree: LeafBoxes, options: SourceOptions
+) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
     option, leaf = take_ragged(options.first, box)
@@ -334,7 +336,7 @@ Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
 """Calls a step on trees again and again until it gives None, and gives the last ones."""
 
 
-def run_through(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
+def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
     """A plain loop: without progress, and an interrupt is one."""
     while (larger := step(forest)) is not None:
         forest = larger
@@ -343,8 +345,8 @@ def run_through(forest: Forest, step: Callable[[Forest], Forest | None]) -> Fore
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
     """Those of one goal, from the sources of the grown domain as a cell."""
-    negligible = max(limits.tolerance, resolved_error(visible.distance))
-    box = fitted_boxes(domain, negligible, Cells.root(2), visible)
+    negligible = max(limits.tolerance, query_resolution(visible.distance))
+    box = fit_boxes(domain, negligible, Cells.root(2), visible)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     root = np.zeros(1, np.int64)
     return best_cones(levels, root, [visible.sources], domain, limits, pattern, run)[0]
@@ -358,7 +360,7 @@ def best_cones(
     limits: Limits,
     pattern: Pattern,
     run: Run,
-    thrift: SearchPruning = EXACT,
+    pruning: SearchPruning = EXACT,
 ) -> list[ConeTree]:
     """The leaves of each member, some of which have sources that are in sight instead of the best ones.
 
@@ -370,8 +372,8 @@ def best_cones(
         domain: What the leaves cover.
         limits: The limits of each.
         pattern: Samples of a cell, by which sources in sight are chosen.
-        run: :func:`grow`, or :func:`run_through`.
-        thrift: What the search leaves out.
+        run: :func:`grow`, or :func:`run_quietly`.
+        pruning: What the search leaves out.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
@@ -380,22 +382,24 @@ def best_cones(
         return np.minimum(view, len(sources[member].points) - 1)
 
     def size(member: int, tree: PricedTree) -> int:
-        if thrift.is_walked:
-            view = views_of_leaves(levels, tree)[tree.order]
+        if pruning.keeps_split_order:
+            view = leaf_views(levels, tree)[tree.order]
         else:
-            view = tree_of_leaves(levels, tree, is_walked=False)[1].source
+            view = tree_of_leaves(levels, tree, keeps_split_order=False)[1].source
         return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
 
     num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
-    search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
-    trees = [tree_of_leaves(levels, tree, thrift.is_walked) for tree in run(search.first(), search.next).trees]
-    options, members = options_of_trees(levels, [leaves for _, leaves in trees], pattern), []
+    search = PriceSearch(levels, roots, limits, size, num_sources, pruning)
+    trees = [
+        tree_of_leaves(levels, tree, pruning.keeps_split_order) for tree in run(search.first(), search.next).trees
+    ]
+    options, members = source_options(levels, [leaves for _, leaves in trees], pattern), []
     for member, (tree, leaves) in enumerate(trees):
 
         def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
             return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
 
-        view = views(member, sources_in_sight(leaves, options, fits))
+        view = views(member, prefer_visible_sources(leaves, options, fits))
         members.append((tree, files[member].stored(view)))
     return members
 
@@ -413,7 +417,7 @@ _MOST_SPLITS, _LEAVES_A_START = 9, 8.0
 _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
 _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
 # Boxes are left out that seldom are leaves, for which the search is twice as quick.
-_THRIFT = SearchPruning(1.0, 5, 0.99, is_walked=True)
+_FAMILY_PRUNING = SearchPruning(1.0, 5, 0.99, keeps_split_order=True)
 _ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
 
 
@@ -423,7 +427,7 @@ class FamilyTask:
 
     Attributes:
         shared: What the oracles share of the boxes that all start at.
-        tops: The cells of each number of splits, those that all start at last.
+        upper_cells: The cells of each number of splits, those that all start at last.
         halves: Where the halves of each stand among those of one more split.
         domain: What the PLRs cover.
         limits: What the file of each is to keep within.
@@ -431,7 +435,7 @@ class FamilyTask:
     """
 
     shared: Any
-    tops: list[Cells]
+    upper_cells: list[Cells]
     halves: list[Int[np.ndarray, "2 2 _"]]
     domain: Box
     limits: Limits
@@ -443,26 +447,26 @@ class FamilyTask:
         if (lost := np.flatnonzero((node_of < 0).all(axis=1))).size:
             raise ValueError(f"Nothing was found from where the goal of oracle {lost[0]} can be reached.")
         # Boxes of which nothing reaches a goal have no pieces; they stand behind the others.
-        cells, limits = self.tops[-1], self.limits
+        cells, limits = self.upper_cells[-1], self.limits
         place, empty = np.zeros(found.num_cells, np.int64), np.unique(np.nonzero(node_of < 0)[1])
         place[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
         node_of = np.where(node_of < 0, found.num_cells + np.searchsorted(empty, np.arange(len(cells))), node_of)
         lowest, found = cells[np.append(place, empty)], replace(found, num_cells=found.num_cells + len(empty))
         negligible = max(limits.tolerance, _RESOLVED * float(self.domain.width.max()))
-        boxes = fitted_boxes(self.domain, negligible, lowest, found)
+        boxes = fit_boxes(self.domain, negligible, lowest, found)
         key = np.append(key, cells[empty].hashes())
-        levels = [*self._above(boxes, node_of), BoxLevel.of(boxes, key)]
+        levels = [*self._upper_levels(boxes, node_of), BoxLevel.of(boxes, key)]
         roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
         sources = [_corners_first(oracle.sources) for oracle in oracles]
-        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_through, _THRIFT)
+        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_quietly, _FAMILY_PRUNING)
 
-    def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
+    def _upper_levels(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
         """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""
         levels, node = [], node_of
         nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
-        is_alone = (boxes.source < 0) | (only_sources(boxes.visible) >= 0)
+        is_alone = (boxes.source < 0) | (sole_sources(boxes.visible) >= 0)
         source = np.where(is_alone, boxes.source, _NONE)[node_of]
-        for cells, child in zip(reversed(self.tops[:-1]), reversed(self.halves), strict=True):
+        for cells, child in zip(reversed(self.upper_cells[:-1]), reversed(self.halves), strict=True):
             common = np.full((len(source), len(cells)), _NONE)
             for lower, upper in child:
                 some = np.flatnonzero(lower >= 0)
@@ -471,7 +475,7 @@ class FamilyTask:
                 alike = (least == most) | (least == _ANY)
                 common[:, some] = np.maximum(common[:, some], np.where(alike, most, _NONE))
             source, count = common, common.size
-            below = np.where(child >= 0, node[:, child], POOR).transpose(1, 2, 0, 3).reshape(2, 2, count)
+            below = np.where(child >= 0, node[:, child], PRUNED).transpose(1, 2, 0, 3).reshape(2, 2, count)
             node = np.arange(count).reshape(common.shape)
             error = np.where(common == _NONE, np.inf, 0.0).ravel()
             cells, visible = cells[np.tile(np.arange(len(cells)), len(common))], replace(nothing, num_cells=count)
@@ -489,17 +493,17 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) 
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
     num_leaves = max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof)))
     splits = int(np.clip(np.log2(num_leaves / _LEAVES_A_START), 0, min(_MOST_SPLITS, limits.max_depth)))
-    tops, halves = [Cells.root(2)], []
+    upper_cells, halves = [Cells.root(2)], []
     for _ in range(splits):
-        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(tops[-1], limits)))
+        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(upper_cells[-1], limits)))
         is_upper = np.arange(len(parent)) % 2 == 1
-        cells = tops[-1][parent].halves(axis, is_upper)
+        cells = upper_cells[-1][parent].halves(axis, is_upper)
         _, first_half, index = np.unique(cells.hashes(), return_index=True, return_inverse=True)
-        halves.append(np.full((2, 2, len(tops[-1])), POOR))
+        halves.append(np.full((2, 2, len(upper_cells[-1])), PRUNED))
         halves[-1][axis, is_upper.astype(int), parent] = index
-        tops.append(cells[first_half])
-    shared = first.shared_cells(grown_domain(domain), *tops[-1].grown_boxes(domain))
-    return FamilyTask(shared, tops, halves, domain, limits, pattern)
+        upper_cells.append(cells[first_half])
+    shared = first.shared_cells(grown_domain(domain), *upper_cells[-1].grown_boxes(domain))
+    return FamilyTask(shared, upper_cells, halves, domain, limits, pattern)
 
 
 def _corners_first(sources: Sources) -> Sources:

@@ -23,8 +23,8 @@ from plr_jax._types import CellSources, ChangingFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, are_met
 from plr_jax.geometry.convex_pieces import boxes_as_pieces, difference_of_cones
-from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, OwnBoxes, best_axes, expand
-from plr_jax.plr.cell_memory import sources_down
+from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, MemberBoxes, best_axes, expand
+from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.base import LeafModel
@@ -33,11 +33,11 @@ from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
     LeafBoxes,
     best_cones_of_goal,
-    fitted_boxes,
-    options_of_trees,
-    resolved_error,
-    run_through,
-    sources_in_sight,
+    fit_boxes,
+    prefer_visible_sources,
+    query_resolution,
+    run_quietly,
+    source_options,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
@@ -79,7 +79,7 @@ class ConeLeaves:
     def _boxes(self) -> tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]:
         return self.tree.leaves.grown_boxes(self.domain)
 
-    def kept(
+    def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
         """By how much distances have changed everywhere in each leaf, and to its source.
@@ -108,29 +108,29 @@ class ConeLeaves:
         # 1. Where points may be free that were not, or reach the goal that did not, nothing holds.
         for box in changed.boxes:
             differ[((lo <= box[2]) & (hi >= box[0])).all(axis=1)] = True
-        leaf, triangle = self._meeting(changed.triangles, np.flatnonzero(~is_uniform))
+        leaf, triangle = self._leaves_meeting(changed.triangles, np.flatnonzero(~is_uniform))
         differ[leaf[changed.was_cut_off[triangle]]] = True
         # 2. What triangles with one change tell, and elsewhere the sources before that paths may set out for.
-        of_uniform = self._meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
+        of_uniform = self._leaves_meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
         take(of_uniform[0], changed.change[of_uniform[1]])
-        of, pairs = self._as_low(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
-        differ[of[self._are_cut(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
+        of, pairs = self._competing_sources(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
+        differ[of[self._may_cross_changes(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
         take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
         if (np.maximum(np.abs(least), np.abs(most))[least <= most] > changed.rounding).any():
             # Triangles in which distances have not changed tell as well.
-            still, _ = self._meeting(changed.triangles, np.flatnonzero(changed.change == 0))
+            still, _ = self._leaves_meeting(changed.triangles, np.flatnonzero(changed.change == 0))
             take(still, np.zeros(len(still)))
         # 3. The change must be one number, 0 where nothing is known, and that of the leaf's own source.
         change = np.where(least <= most, most, 0.0)
         differ[(least <= most) & ~(most - least <= changed.rounding)] = True
         differ[~(np.abs(of_source - change) <= 2 * changed.rounding)] = True
         # 4. No source afterwards may lead to a shorter path.
-        of, pairs = self._as_low(differ, leaf, triangle, changed.after, after, change)
+        of, pairs = self._competing_sources(differ, leaf, triangle, changed.after, after, change)
         grows_less = np.isnan(pairs.change) | (pairs.change < change[of] - changed.rounding)
-        differ[of[grows_less | self._are_cut(of, pairs, after, changed)]] = True
+        differ[of[grows_less | self._may_cross_changes(of, pairs, after, changed)]] = True
         return np.where(differ, np.nan, change), source
 
-    def _as_low(
+    def _competing_sources(
         self,
         differ: Bool[np.ndarray, "leaves"],
         leaf: Leaf,
@@ -159,7 +159,7 @@ class ConeLeaves:
         low = lowest <= limit[near]
         return of[low], pairs[rows[low]]
 
-    def _are_cut(
+    def _may_cross_changes(
         self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
         """Whether ways from leaves to sources may meet what changed."""
@@ -169,7 +169,9 @@ class ConeLeaves:
         cut[rows] = are_met(np.stack([sources.points[pairs.source[rows]], *corners], axis=1), changed.boxes)
         return cut
 
-    def _meeting(self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]) -> tuple[Leaf, Leaf]:
+    def _leaves_meeting(
+        self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
+    ) -> tuple[Leaf, Leaf]:
         """Leaves, and those of some triangles that they meet, down the tree."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles
@@ -207,7 +209,7 @@ _FEW = 0.03  # of two or more leaves in one place, how many may be worth less th
 
 
 @dataclass(frozen=True, eq=False)
-class PricedNodes:
+class NodeCosts:
     """Nodes of a tree of cones as leaves of their own: what they would add to its error.
 
     Attributes:
@@ -224,13 +226,13 @@ class PricedNodes:
     price: float
 
 
-def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> PricedNodes:
+def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
     """Those of the tree of an oracle, and a price with which few of its leaves should be put together."""
     tree, domain = leaves.tree, leaves.domain
-    negligible = max(limits.tolerance, resolved_error(oracle.sources.distances))
+    negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
-    for nodes, visible in sources_down(tree, oracle.cell_sources(grown_domain(domain)), domain):
-        boxes = fitted_boxes(domain, negligible, tree.cells[nodes], visible)
+    for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
+        boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
         integral[nodes], error[nodes], source[nodes] = boxes.integral, boxes.error, boxes.source
     costs = integral + _share(tree, limits) * error
     total, count = costs.copy(), np.ones(len(costs))
@@ -242,7 +244,7 @@ def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> Pric
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
     price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
-    return PricedNodes(integral, error, source, price)
+    return NodeCosts(integral, error, source, price)
 
 
 def _share(tree: Tree, limits: Limits) -> float:
@@ -260,7 +262,7 @@ class UpdatedCones(NamedTuple):
         bounds: Bounds of the distance minus what each leaf holds, for leaves that stay.
         rebuilt: The other leaves.
         visible: The sources of rebuilt leaves as cells.
-        priced: Costs of the nodes of the tree; None if they are not known.
+        node_costs: Costs of the nodes of the tree; None if they are not known.
     """
 
     tree: Tree
@@ -268,12 +270,12 @@ class UpdatedCones(NamedTuple):
     bounds: LeafBounds
     rebuilt: Int[np.ndarray, "rebuilt"]
     visible: CellSources
-    priced: PricedNodes | None
+    node_costs: NodeCosts | None
 
 
 def updated_cones(
     leaves: ConeLeaves,
-    priced: PricedNodes | None,
+    node_costs: NodeCosts | None,
     changed: ChangedDistances,
     oracle: ChangingFn,
     before: ChangingFn,
@@ -285,21 +287,21 @@ def updated_cones(
     """
     pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # by which sources in sight are chosen
     _require_proof_of(before, leaves)
-    priced = priced or priced_nodes(leaves, before, limits)
-    change, source = leaves.kept(changed, before.sources, oracle.sources)
-    search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
-    if search.is_sought.all() and (search.levels[0].boxes.source < 0).all():
+    node_costs = node_costs or compute_node_costs(leaves, before, limits)
+    change, source = leaves.distance_changes(changed, before.sources, oracle.sources)
+    search = ConeSearch.of(leaves, node_costs, changed, change, source, oracle, limits)
+    if search.is_reopened.all() and (search.levels[0].boxes.source < 0).all():
         raise ValueError(f"The goal cannot be reached any more from anywhere in the domain, {leaves.domain}.")
-    best = _best_within(search)
+    best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_through)
+        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
         visible = oracle.sources_of_boxes(*tree.leaves.grown_boxes(leaves.domain))
         unknown = np.zeros((2, len(tree.leaves)))
         return UpdatedCones(tree, new, LeafBounds(*unknown), np.arange(len(tree.leaves)), visible, None)
-    new = search.files.stored(search.sources_in_sight(best, pattern))
+    new = search.files.stored(search.prefer_visible_sources(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
-    stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
+    stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
     # A cone has moved with its offset, and a little where its source is rounded another way.
     rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
@@ -307,9 +309,9 @@ def updated_cones(
     lower, upper = np.zeros((2, len(best.leaves)))
     lower[stays] = leaves.bounds.lower[old] + rises - beside
     upper[stays] = leaves.bounds.upper[old] + rises + beside
-    visible = search.visible(best.leaves[anew])
+    visible = search.visible(best.leaves[rebuilt])
     tree = tree_of_axes(best.axes, 2)
-    return UpdatedCones(tree, new, LeafBounds(lower, upper), anew, visible, search.priced(best))
+    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, search.node_costs(best))
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
@@ -355,24 +357,24 @@ class ConeSearch:
     Attributes:
         leaves: The leaves that there were.
         nodes: The nodes of their tree, whose costs are ``inf`` where distances have not changed by one number.
-        is_sought: Which of the leaves are sought anew.
+        is_reopened: Which of the leaves are sought rebuilt.
         roots: The nodes of their tree in whose place boxes are sought.
         levels: Those boxes, the first as the roots are.
     """
 
     leaves: ConeLeaves
-    nodes: PricedNodes
+    nodes: NodeCosts
     oracle: ChangingFn
     limits: Limits
     files: ConeFiles
-    is_sought: Bool[np.ndarray, "leaves"]
+    is_reopened: Bool[np.ndarray, "leaves"]
     roots: list[Int[np.ndarray, "_"]]
     levels: list[BoxLevel]
 
     @staticmethod
     def of(
         leaves: ConeLeaves,
-        priced: PricedNodes,
+        node_costs: NodeCosts,
         changed: ChangedDistances,
         change: Float[np.ndarray, "leaves"],
         source: Int[np.ndarray, "leaves"],
@@ -388,16 +390,16 @@ class ConeSearch:
             first, second = tree.child[split], tree.child[split] + 1
             least[split], most[split] = np.minimum(least[first], least[second]), np.maximum(most[first], most[second])
             is_whole[split] = is_whole[first] & is_whole[second]
-        now = np.where(priced.source < 0, -1, changed.source[priced.source])
-        is_known = (most - least <= changed.rounding) & ((now >= 0) | (priced.source < 0))
+        now = np.where(node_costs.source < 0, -1, changed.source[node_costs.source])
+        is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
-        integral, error = (np.where(is_known, each, np.inf) for each in (priced.integral, priced.error))
+        integral, error = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.error))
         # The largest nodes of which no leaf holds.
         is_root = is_whole.copy()
         for split in tree.splits:
             whole = split[is_whole[split]]
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
-        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price)
+        roots, nodes = np.flatnonzero(is_root), NodeCosts(integral, error, now, node_costs.price)
         files = ConeFiles(oracle.sources, leaves.domain)
         search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
         boxes = search.boxes(roots)
@@ -422,8 +424,8 @@ class ConeSearch:
         """Nodes of the tree as boxes."""
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
-        negligible = max(self.limits.tolerance, resolved_error(self.oracle.sources.distances))
-        return fitted_boxes(domain, negligible, cells, visible)
+        negligible = max(self.limits.tolerance, query_resolution(self.oracle.sources.distances))
+        return fit_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
         """The sources of nodes and boxes as cells."""
@@ -436,28 +438,28 @@ class ConeSearch:
             first += len(level.key)
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
-    def look(self, price: float) -> None:
+    def expand_boxes(self, price: float) -> None:
         """Look at boxes that may be leaves at a price."""
         each = np.full(len(self.levels[0].key), price)
         expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
 
-    def is_full(self, price: float) -> bool:
+    def needs_no_refinement(self, price: float) -> bool:
         """Whether most leaves stay, and hardly any errs by more than a price: room is left as nothing needs it."""
         cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
-        known = cost[~self.is_sought & np.isfinite(cost)]
+        known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
-    def seek(self, count: int, price: float) -> None:
-        """Seek so many more leaves anew, those that err most, if by more than the price."""
+    def reopen_worst_leaves(self, count: int, price: float) -> None:
+        """Seek so many more leaves rebuilt, those that err most, if by more than the price."""
         tree = self.leaves.tree
         integral, error = self.nodes.integral, self.nodes.error
         cost = (integral + self.share * error)[tree.node_of_leaf]
-        cost[self.is_sought | np.isinf(cost)] = 0.0
+        cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
         if not len(leaf):
             return
-        self.is_sought[leaf] = True
+        self.is_reopened[leaf] = True
         self.roots.append(node := tree.node_of_leaf[leaf])
         boxes = self.boxes(node)
         self.levels[0].append(boxes, boxes.cells.hashes())
@@ -476,7 +478,7 @@ class ConeSearch:
             both = total[tree.child[split]] + total[tree.child[split] + 1]
             total[split] = np.minimum(cost[split], both)
             axes[0][split[cost[split] <= both]] = -1
-        own = [OwnBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
+        own = [MemberBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
         for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.share), strict=True):
             first += len(box)
             axes.append(axis)
@@ -498,7 +500,7 @@ class ConeSearch:
         share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, walked, node, leaf, num_bytes, share)
 
-    def sources_in_sight(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
+    def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
         """Sources of the leaves of a tree, of boxes others where a part does not see the best one."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
@@ -516,30 +518,30 @@ class ConeSearch:
 
         if not len(leaf):
             return source
-        return with_views(sources_in_sight(tree, options_of_trees(self.levels, [tree], pattern), fits))
+        return with_views(prefer_visible_sources(tree, source_options(self.levels, [tree], pattern), fits))
 
-    def priced(self, found: FoundTree) -> PricedNodes:
+    def node_costs(self, found: FoundTree) -> NodeCosts:
         """What is known of the nodes of a tree."""
         boxes = [level.boxes for level in self.levels]
         integral, error, source = (
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
             for name in ("integral", "error", "source")
         )
-        return PricedNodes(integral, error, source, found.price)
+        return NodeCosts(integral, error, source, found.price)
 
 
-def _best_within(search: ConeSearch) -> FoundTree | None:
+def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
     """The best tree with the leaves that stay; None if these are too many, or far too few, for the limits."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
-    num_leaves = len(search.is_sought)
+    num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # about that of the tree before
-    is_full = search.is_full(price)
+    is_full = search.needs_no_refinement(price)
     if share < _FAR and not is_full:
         return None
     if share < _LEFT and not is_full:  # room that the change before has left, so that all is looked at together
         price *= (share / _AIM) ** _RATE
-        search.seek(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
-    search.look(price)
+        search.reopen_worst_leaves(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
+    search.expand_boxes(price)
     now, fits, beyond = search.best(price), None, None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share > 1:
