@@ -1,7 +1,7 @@
-"""Work that takes long: workers that answer or build, and a checkpoint file that keeps what is done.
+"""Long computations: parallel workers, and checkpoint files that keep finished results.
 
-A checkpoint file has a head, which identifies the work, and then records, each with a key and a checksum. A record
-that was cut short, by a kill or by a full disk, is dropped when the file is opened again.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. A record
+that a kill or a full disk cut short is dropped when the file is opened again.
 """
 
 import os
@@ -28,22 +28,22 @@ from plr_jax.plr.sampling import call_oracle
 
 KEY_SIZE = 16
 _MAGIC = b"plr_jax checkpoint 1\n"
-_RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, bytes, checksum
-_NUM_POINTS = 256  # at which distance functions are told apart
+_RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, size, checksum
+_NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """The file of some work.
+    """A checkpoint file, opened or created.
 
     Args:
-        path: The file, which is made where there is none.
-        digest: What tells this work from any other.
+        path: The file.
+        digest: Bytes that identify the computation: see :func:`digest_of`.
 
     Attributes:
-        records: What is done, by key.
+        records: Finished results, by key.
 
     Raises:
-        ValueError: If the file is of other work, or no checkpoint.
+        ValueError: If the file belongs to another computation or is no checkpoint.
         OSError: If it cannot be read or written.
     """
 
@@ -57,26 +57,28 @@ class Checkpoint:
         head = data[: len(self._head)]
         if not self._head.startswith(head):
             if not head.startswith(_MAGIC):
-                raise ValueError(f"{path} is no checkpoint: choose another path.")
+                raise ValueError(
+                    f"checkpoint must be a checkpoint file or a new path, got {path}. Choose another path."
+                )
             raise ValueError(
-                f"{path} is the checkpoint of other work: its distance functions or grid, domain, options or release "
-                "were others. Choose another path, or delete it to begin anew."
+                f"{path} is the checkpoint of other work: with another distance function, grid, domain, option or "
+                "release. Choose another path, or delete the file to start again."
             )
         self._end = self._read(data) if len(head) == len(self._head) else 0
         if not self._end:
             self._append(self._head)
 
     def add(self, records: Mapping[bytes, bytes]) -> None:
-        """Keep what is done."""
+        """Append finished results, and flush them to disk."""
         self.records.update(records)
         self._append(_encode_records(records))
 
     def finish(self) -> None:
-        """Put the records in order, so that the file is the same however the work went."""
+        """Sort the records, so that the file does not depend on the order of the work."""
         write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
-        """Write behind what is whole, over a record that was cut short."""
+        """Write after the last whole record, over a record that was cut short."""
         with open(self._path, "r+b" if self._path.exists() else "xb") as file:
             file.seek(self._end)
             file.write(data)
@@ -86,7 +88,7 @@ class Checkpoint:
         self._end += len(data)
 
     def _read(self, data: bytes) -> int:
-        """Read the records up to the first that is not whole, which begins where this says."""
+        """Read all whole records, and return the offset where they end."""
         end = len(self._head)
         while end + _RECORD.size <= len(data):
             key, size, checksum = _RECORD.unpack_from(data, end)
@@ -104,10 +106,10 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """What tells work from any other: the release, the domain, options, and distances.
+    """Return a digest of a computation: the release, domain, options and distance functions.
 
-    Of a distance function these are those at some points; of a family, at some points from one of them, and of
-    each that of all sources. They count to 32-bit floats, as other machines may round otherwise.
+    A distance function is identified by its distances at test points, a member of a family by its sources' distances.
+    Distances count as 32-bit floats, since other machines may round differently.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
@@ -122,19 +124,18 @@ def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes
     return digest.digest()
 
 
-_AT_ONCE = 1024  # points that a worker is asked for, however many workers there are
+_AT_ONCE = 1024  # points per task of a worker, independent of the number of workers
 
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function, answered from what is kept or by workers; None: by this process, and kept nowhere."""
+    """A distance function evaluated by an optional executor, with an optional checkpoint of its answers."""
 
     distance_fn: DistanceFn
     executor: Executor | None
     checkpoint: Checkpoint | None
 
     def __call__(self, x: Points) -> Distances:
-        """Distances of points."""
         if self.checkpoint is None:
             return self._evaluate(x)
         key = sha256(np.array(x.shape).tobytes() + x.tobytes()).digest()[:16]
@@ -155,7 +156,7 @@ class ParallelOracle:
                 answer = None
                 with suppress(BrokenExecutor):
                     answer = futures[number].result() if number < len(futures) else None
-                # If a worker has died, this process answers.
+                # If a worker died, this process computes the answer.
                 answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
             for future in futures:
@@ -164,15 +165,15 @@ class ParallelOracle:
 
 
 Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
-"""Numbers of some parts, and a function that returns the bytes of each, in a process of its own perhaps."""
+"""Indices of some parts, and a function that returns the bytes of each; it may run in another process."""
 
 
 class BuildResults:
-    """The bytes of the parts that are done, None for the others.
+    """The results of all parts of a computation, as bytes; None for missing parts.
 
     Args:
         total: The number of parts.
-        checkpoint: The file that keeps what is done; None: no file.
+        checkpoint: File that keeps finished parts, and provides earlier ones; None: no file.
     """
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
@@ -181,13 +182,14 @@ class BuildResults:
 
     @property
     def count(self) -> int:
-        """How many are done."""
+        """The number of finished parts."""
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Build chunks; what a pool does not finish because a worker of it dies, by threads of this process.
+        """Compute chunks of parts with the executor, or with threads of this process.
 
-        If interrupted (Ctrl-C), what is done is here. Once all parts are done, the checkpoint is put in order.
+        If a worker of the executor dies, threads compute the chunks that are left. After an interrupt (Ctrl-C),
+        finished parts are in ``results``. Once all parts are finished, the checkpoint is sorted.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:
@@ -199,7 +201,7 @@ class BuildResults:
             self._checkpoint.finish()
 
     def _build_by(self, pool: Executor, chunks: list[Chunk], progress: tqdm) -> list[Chunk]:
-        """Build chunks by a pool; these are left of them when it breaks."""
+        """Compute chunks with a pool, and return those that are left if the pool breaks."""
         futures: dict[Future[list[bytes]], Chunk] = {}
         try:
             with suppress(BrokenExecutor):
@@ -221,7 +223,6 @@ class BuildResults:
         return [chunk for chunk in chunks if self.results[chunk[0][0]] is None]
 
     def _store(self, numbers: list[int], results: list[bytes]) -> None:
-        """Put the parts of a chunk in their places."""
         if self._checkpoint is not None and self.results[numbers[0]] is None:
             self._checkpoint.add({_key(number): data for number, data in zip(numbers, results, strict=True)})
         for number, data in zip(numbers, results, strict=True):
