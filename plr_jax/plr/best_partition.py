@@ -1,12 +1,12 @@
-"""The best dyadic partitions at a price a leaf, of all that there are.
+"""Find the dyadic partition that minimizes error plus a price per leaf, among all dyadic partitions.
 
-Splitting best-first decides for an axis by what one split gains, and never takes it back. Here the best tree of all
-boxes is found, whatever the splits that lead to them: from the smallest boxes up, a box is a leaf, or cheaper halved
-along one of the axes. The price falls, and more boxes are looked at, until the best tree is beyond its limits; of the
-prices in between, the lowest within them is taken.
+Best-first splitting judges an axis by the gain of one split and never reconsiders. Here dynamic programming works
+upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The price falls, and more boxes
+are computed, until the best tree exceeds its limits. Then the lowest price within the limits is found by
+interpolation.
 
-Trees of several members, as of the goals of one workspace, are sought in turns: boxes that are alike for several are
-looked at once, and what one finds does not depend on who else is there.
+Trees of several members (goals of one workspace) are searched together. Boxes that are equal for several members are
+computed once; the result of a member does not depend on the other members.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -24,23 +24,23 @@ from plr_jax.plr.growth import BudgetTooSmall, Limits, check_memory
 from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
-BOXES_PER_BATCH = 1 << 14  # boxes
-UNKNOWN, PRUNED = -1, -2
+# Weight of a box's largest error beside the integral of its error, in units of an average leaf's volume.
+LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
+BOXES_PER_BATCH = 1 << 14
+UNKNOWN, PRUNED = -1, -2  # in place of the index of a half
 
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The distinct boxes of one number of splits that were looked at.
+    """The distinct boxes with the same number of splits that were computed.
 
     Attributes:
-        boxes: Any in the plane, and what leaves there would be like: ``cells``; the largest ``error`` of each as a
-            leaf, 0 if it does not matter; the ``integral`` of its error over its share of the domain;
-            ``append(others)``; and ``new_halves(parent, axis, is_upper, known)``, those halves of some of the boxes
-            whose keys are not known yet, each once, their keys, and all keys.
-        key: By which boxes are told apart.
-        child: Where the halves of each stand in the next level, along each axis; -1 where they were not looked at, -2
-            where they are not worth it.
+        boxes: Plane boxes with ``cells``; the largest ``error`` of each as a leaf (0 if negligible) and the
+            ``integral`` of its error over its share of the domain; ``append(others)``; and ``new_halves(parent, axis,
+            is_upper, known)``, which returns the distinct halves with unknown keys, their keys, and the keys of all
+            halves.
+        key: A key that identifies each box.
+        child: Index of each box's halves in the next level, by axis, half and box; ``UNKNOWN`` or ``PRUNED`` if none.
     """
 
     boxes: Any
@@ -49,15 +49,14 @@ class BoxLevel:
 
     @staticmethod
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
-        """That of boxes that were not halved yet."""
+        """Make a level of boxes whose halves are unknown."""
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
-        """What each box adds to the error of a tree, its largest error a little."""
+        """Return each box's cost as a leaf: its integral plus ``least_share`` times its largest error."""
         return self.boxes.integral + least_share * self.boxes.error
 
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
-        """Add new boxes behind those that there are."""
         self.boxes = self.boxes.append(boxes)
         self.key = np.concatenate([self.key, key])
         self.child = np.concatenate([self.child, np.full((2, 2, len(key)), UNKNOWN)], axis=2)
@@ -71,17 +70,17 @@ def expand(
     margin: float = np.inf,
     share: float = 0.0,
 ) -> None:
-    """Look at the halves of boxes that cost more than a price, and at theirs.
+    """Compute the halves of all boxes that cost more than a price, level by level.
 
     Args:
-        levels: All that was looked at; what is found is added.
-        price: Of a leaf, for each box of the first level, below which all have the least that leads to them; ``inf``
-            where nothing is to be looked at.
-        least_share: How much a box's largest error counts besides its integral.
-        limits: The limits.
-        margin: Times as much as along the other axis halves may cost to be looked at further; without, the best tree
-            is the best of all.
-        share: How much largest errors count in that, whoever asks.
+        levels: Levels of boxes, extended in place.
+        price: Price of a leaf for each box of the first level; ``inf`` excludes a box. A box inherits the lowest
+            price of the boxes that contain it.
+        least_share: Weight of the largest error in the cost of a box.
+        limits: Depth limits.
+        margin: The halves along one axis are pruned if they cost more than this multiple of the halves along the
+            other axis; ``inf`` keeps the search exact.
+        share: Weight of the largest error in that comparison.
     """
     for depth in range(limits.max_depth):
         if depth == len(levels):
@@ -92,7 +91,7 @@ def expand(
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
-                # Of boxes that were halved along both axes, those halves are left out that are the poorer by far.
+                # Prune the far more expensive halves of boxes that were halved along both axes.
                 parent = np.unique(parent)
                 child, cost = level.child[:, :, parent], levels[depth + 1].costs(share)
                 halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
@@ -107,7 +106,7 @@ def expand(
 
 
 def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
-    """Along which axes boxes may be halved."""
+    """Return which boxes may be halved along each axis."""
     depth = cells.depth.T
     shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
     return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS)
@@ -116,7 +115,7 @@ def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
 def _add_halves(
     levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"]
 ) -> None:
-    """Both halves of boxes of one level along the given axes, those that are alike once."""
+    """Add both halves of boxes along the given axes, equal halves once."""
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
@@ -135,28 +134,30 @@ def _add_halves(
         level.child[axis[some], is_upper[some].astype(int), parent[some]] = place
 
 
-_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
-_RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
-_MUCH_ROOM = 8.0  # times as large a tree may be yet, far from the limits
-_BEYOND = 1.15  # times as large as they allow a tree should be, near them
-_FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
-_FIRST_SHARE = 0.25  # of what the limits allow, that the first tree should take: the power is but a guess yet
-_BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # about as many as one more takes, and what it is the first to name
+# Price schedule. A round multiplies the price by a factor between these two.
+_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7
+_RATE_STEP = 8.0  # factor of the price for estimating how the number of leaves depends on it
+_MUCH_ROOM = 8.0  # if the limits allow this many times more leaves, the price falls as far as it may
+_BEYOND = 1.15  # near the limits, the next tree should exceed them by this factor
+_FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
+_FIRST_SHARE = 0.25  # share of the limits at which the first price aims, as the guess is rough
+_BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
 _HIGH = 1e300  # a price at which no box is halved that may be a leaf
-_LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
+_LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that ties go to the smaller tree
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""Which boxes of each of the first levels are leaves."""
+"""For each level, from the first, the boxes that are leaves."""
 
 
 class SearchPruning(NamedTuple):
-    """What a search leaves out for its speed.
+    """Shortcuts of a search, for speed.
 
     Attributes:
-        margin: Times as much as along the other axis halves may cost to be looked at further.
-        attempts: To find a price with which a tree is full.
-        full: The share of what the limits allow with which it is.
-        keeps_split_order: Whether a file holds a tree as it was found; else as :func:`tree_of` has it, which takes longer.
+        margin: See :func:`expand`.
+        attempts: Largest number of prices to try between a tree that fits and one that does not.
+        full: Share of the limits at which a tree is large enough.
+        keeps_split_order: Whether the file stores the tree as found; else in the slower canonical form of
+            :func:`tree_of`.
     """
 
     margin: float = np.inf
@@ -170,14 +171,12 @@ EXACT = SearchPruning()
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """A member's best tree at a price a leaf.
+    """A member's best tree at a price per leaf.
 
     Attributes:
-        leaves: Which boxes of each level are leaves.
-        axes: The axis along which each node is split, level by level; -1 for a leaf.
-        order: The leaves, which stand level by level, in the order of the tree's traversal.
-        price: The price.
-        num_bytes: Of the file.
+        leaves: For each level, the boxes that are leaves.
+        axes: Split axis of each node, level by level; -1 for a leaf.
+        order: Permutation of the leaves, from level by level to the order of the tree's traversal.
         is_final: Whether the search is over.
     """
 
@@ -194,7 +193,7 @@ class PricedTree:
 
 @dataclass(frozen=True, eq=False)
 class Forest:
-    """A tree of each member; as long as they have leaves."""
+    """A forest with one tree for each member; its length is the number of leaves."""
 
     trees: list[PricedTree]
 
@@ -203,23 +202,22 @@ class Forest:
 
 
 class MemberBoxes(NamedTuple):
-    """The boxes of one level that a member looked at, and where their halves stand among its own of the next."""
+    """The boxes of one level that a member uses; halves are indices into its own boxes of the next level."""
 
     box: Int[np.ndarray, "own"]
     child: Int[np.ndarray, "2 2 own"]
 
 
 class PriceSearch:
-    """The search of the largest best trees within the limits.
+    """The search for the largest best trees within the limits.
 
     Args:
-        levels: Boxes to start with, to which those that are looked at are added.
-        roots: The box of the first level that each member starts at.
-        limits: The limits of each.
-        size: Gives the bytes of the file of a member's tree.
-        num_sources: How many sources leaves may name; a file holds those that they do. Going by them the search goes
-            less far beyond its limits.
-        pruning: What it leaves out.
+        levels: Initial levels of boxes, extended in place.
+        roots: Box of the first level at which each member starts.
+        limits: The limits of each member.
+        size: Function from a member and its tree to the bytes of its file.
+        num_sources: Number of sources that leaves may use, for a better estimate of the first price.
+        pruning: Shortcuts of the search.
     """
 
     def __init__(
@@ -238,10 +236,10 @@ class PriceSearch:
         self._own: list[list[MemberBoxes]] = [[]] * len(roots)
 
     def first(self) -> Forest:
-        """The smallest trees.
+        """Return the smallest trees.
 
         Raises:
-            BudgetTooSmall: If the budget of bytes is too small for one of them.
+            BudgetTooSmall: If a smallest tree exceeds the byte budget.
         """
         trees = []
         for member in range(len(self._roots)):
@@ -256,7 +254,7 @@ class PriceSearch:
         return Forest(trees)
 
     def next(self, now: Forest) -> Forest | None:
-        """Larger trees, after more boxes were looked at; None if there are none."""
+        """Compute more boxes and return larger trees; None if all searches are over."""
         trees = list(now.trees)
         aims = {i: self._next_price(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
         if not aims:
@@ -264,7 +262,8 @@ class PriceSearch:
         limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
         for member, (of_member, _) in aims.items():
             price[self._roots[member]] = min(price[self._roots[member]], of_member)
-        # One look serves all: a member uses no box that it would not have looked at alone.
+        # Computing boxes for all members at once is safe: each member uses only boxes that it would have computed
+        # alone.
         least_share = max(share for _, share in aims.values())
         share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
         expand(self.levels, price, least_share, limits, self._pruning.margin, share)
@@ -277,14 +276,14 @@ class PriceSearch:
         return Forest(trees)
 
     def _next_price(self, member: int, now: PricedTree) -> tuple[float, float]:
-        """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now.
+        """Return the next price, and the weight of largest errors in costs.
 
-        With it comes how much of a box's largest error counts.
+        At this price the tree should be a good deal larger or, near the limits, slightly exceed them.
         """
-        # How many leaves the limits may allow, going by the bytes that a tree leaves.
+        # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
-        more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
+        more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
         least_share, room = self._least / (most if most < _UNLIMITED else len(now)), most / len(now)
         if len(now) == 1:
@@ -298,17 +297,17 @@ class PriceSearch:
         return drop * now.price, least_share
 
     def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
-        """The best tree of what was looked at."""
+        """Return the best tree among the computed boxes, with the size of its file."""
         tree = self._best_tree(member, price, least_share)
         num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
     def _share(self, tree: PricedTree) -> float:
-        """Of what the limits allow, how much a tree takes."""
+        """Return how much of its limits a tree uses; more than 1 if it exceeds them."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
-        """The largest tree that fits, of prices between one that does and one that does not."""
+        """Search prices between a tree that fits and one that does not, for the largest that fits."""
         largest = fits
         for attempt in range(self._pruning.attempts):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -325,7 +324,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, member: int, price: float, least_share: float) -> bool:
-        """Note which boxes a member looks at, at a price of a leaf; whether these are all that matter."""
+        """Select the boxes that a member uses at a price, and return whether all relevant boxes are known."""
         here, own, is_all = self._roots[member : member + 1], [], True
         for depth, level in enumerate(self.levels):
             if not len(here):
@@ -349,7 +348,7 @@ class PriceSearch:
         return is_all
 
     def _best_tree(self, member: int, price: float, least_share: float) -> PricedTree:
-        """The member's tree for which costs of leaves and their prices together are least."""
+        """Return the tree of least total cost, at a price per leaf, for one member."""
         own = self._own[member]
         axes = best_axes(self.levels, own, price, least_share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
@@ -369,7 +368,7 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[MemberBoxes], price: float, least_share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Along which axis each box is halved, -1 for none, so that costs of leaves and their prices are least."""
+    """Return the best split axis of each box, -1 for a leaf, by dynamic programming from the smallest boxes up."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(least_share)[box] + price, np.full(len(box), -1)

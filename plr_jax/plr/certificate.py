@@ -1,19 +1,19 @@
-"""Proofs: bounds of how far the distance is above and below what each leaf holds, and how a file keeps them.
+"""Certificates: proven bounds of the distance minus the function that each leaf stores, and their file format.
 
-Bounds are found by halving pieces of leaves. Bounds of a piece hold for all of it, and the error at its center is one
-that is met. Pieces whose bounds are not much beyond errors that are met are done; the others are halved, which brings
-both together. Where the distance at a center is known as a bound alone, bounds may be less tight.
+Bounds come from branch and bound. The bounds of a piece of a leaf hold for all of it, and the error at its center is
+attained. Pieces whose bounds are close to attained errors are finished; the others are halved, which tightens both.
+Where only a bound of the distance at a center is known, bounds may be less tight.
 
-A file keeps them as bits, after the leaves:
+A file stores a certificate as bits, after the leaves:
 
-    largest error, a 32-bit float, negative where classes of leaves have bounds, which then follow
-    classes: their number less one, in 4 bits, and codes of their lower bounds, then of their upper ones, 8 bits each;
-      for every class but the last, the largest first, the set of those leaves, of all that are in no class before,
-      that are not in this one either (see ``coding.py``)
-    where each leaf has bounds: codes of all lower ones, then of all upper ones, 8 bits each
+    largest error, a 32-bit float; negative if bounds of classes of leaves follow
+    classes: number of classes less one, 4 bits; codes of their lower, then of their upper bounds, 8 bits each;
+      for every class but the last, in order of size: the set of leaves, of those not in an earlier class, that are
+      not in this class (sets as in ``coding.py``)
+    bounds of every leaf: codes of all lower, then of all upper bounds, 8 bits each
 
-A bound is ``scale * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and
-the smallest is 4e-7 of the largest. All of them are rounded away from zero.
+A bound is ``scale * 2**((code - 255) / 12)``, below or above the leaf's value: one code more is 6 % more, and the
+smallest bound is 4e-7 of the largest. All bounds are rounded away from zero.
 """
 
 from collections.abc import Callable
@@ -30,26 +30,26 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-# Bounds of how much the distance is above what a leaf holds, over all free points of a piece of it.
+# Bounds over a piece of a leaf, a convex part of its free space.
 #
-# The distance is nowhere above the cone of a source that all of the piece sees, and nowhere below the least cone of
-# the sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and
-# the way there, which is free.
+# The distance is at most the cone of a source that all of the piece sees, and at least the smallest cone of all
+# sources that some of its points may use. If no source is seen by all of the piece, the upper bound is the distance
+# of the piece's center plus the straight path to it, which is free.
 
 
 ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""Smallest and largest value, over pieces, of cones minus what leaves hold.
+"""Function from pieces, apexes, offsets and rows to the smallest and largest value of cone minus leaf function.
 
-Its arguments are the pieces, apexes and offsets of cones, one a piece, and the row of the leaf that each piece is of.
+Each piece has one cone; its row is the index of its leaf.
 """
 
 
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Bounds of the distance minus what a leaf holds, over pieces, to within their ``slack``.
+    """Return bounds of the distance minus a leaf's function, over pieces, to within the ``slack`` of the sources.
 
-    A piece may be asked about several times, for other leaves each: rows are told apart by their place.
+    A piece may occur several times, for different leaves: ``cones_above`` identifies each occurrence by its row.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -70,10 +70,7 @@ def bounds_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """What leaves hold: functions of a leaf model, of finite coefficients in boxes.
-
-    The model is a :class:`LeafModel`, whose file imports this one.
-    """
+    """The functions of leaves: a :class:`LeafModel` (which imports this module), boxes, finite coefficients."""
 
     model: Any
     lo: Float[np.ndarray, "leaves dim"]
@@ -81,7 +78,7 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        """Return a function that bounds cones minus the functions of given leaves, from which rows choose."""
+        """Return a function that bounds cones minus functions; row ``i`` stands for ``leaf[i]``."""
 
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
@@ -91,7 +88,7 @@ class LeafFunctions:
         return of_rows
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
-        """Bound the largest error in each leaf, from its sources as a cell; 0 where nothing reaches the goal."""
+        """Bound the largest error in each leaf; 0 where nothing reaches the goal."""
         lower, upper = bounds_of_pieces(
             visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
         )
@@ -100,22 +97,24 @@ class LeafFunctions:
         return errors
 
 
-# Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
+# Rounds of halving, and pieces in a round. Beyond these limits bounds are valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-_OF_RANGE = 0.04  # of the range of errors that are met in a leaf, by which its bounds may be beyond them
-LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
+# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, but at least
+# and at most by these shares of the largest error of all leaves.
+_OF_RANGE = 0.04
+LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of the distance minus what each leaf holds, over all its points from which the goal can be reached."""
+    """Bounds of the distance minus each leaf's function, over all its points that reach the goal."""
 
     lower: Float[np.ndarray, "leaves"]
     upper: Float[np.ndarray, "leaves"]
 
 
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
-"""Of the distance minus what each leaf holds."""
+"""Distance minus the leaf's function, one value a leaf."""
 
 
 def prove_bounds(
@@ -123,19 +122,15 @@ def prove_bounds(
     visible: CellSources,
     sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
 ) -> LeafBounds:
-    """Bounds for leaves, whose sources are given as cells.
+    """Prove bounds for leaves from their sources as cells.
 
-    In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
-
-    Args:
-        functions: What the leaves hold.
-        visible: Their sources.
-        sufficient: What bounds of leaves need not be better than, given errors that are met; None: such as are close to
-            these, or off by little of the largest error of all.
+    Computed in double precision, whose rounding is far below the ``slack`` of the sources, which the bounds include.
+    ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to the
+    attained errors, in units of the largest error of all.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
-    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # of the errors that are met
+    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
     leaf = visible.cell
     for round_ in range(_MOST_ROUNDS):
         here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
@@ -143,7 +138,7 @@ def prove_bounds(
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
         below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
-        # Bounds that need not be better, given errors that are met.
+        # Bounds beyond these are tightened further.
         largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (
             np.clip(_OF_RANGE * (most - least), LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
@@ -166,7 +161,7 @@ def prove_bounds(
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Both halves of some pieces, each cut across where it is longest: two cells a piece."""
+    """Halve pieces across their longest side; both halves become cells."""
     alone = visible.pieces_as_cells(piece)
     lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
     each = np.arange(len(piece))
@@ -179,13 +174,13 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
     return alone.parts(parent, axis[parent], is_upper, los, his)
 
 
-# Classes of leaves, each with bounds of its own, are nearly as narrow as bounds of every leaf, for few bits a leaf:
-# most leaves are far better than the few worst, as those where walls touch.
+# Classes of leaves with common bounds are nearly as narrow as bounds of every leaf, for few bits: most leaves have
+# far smaller errors than the few worst, such as leaves where walls touch.
 
 
 _COUNT_BITS = 4
-_BITS_A_CLASS = 53  # its bounds, and what a set takes besides its members
-_PRICES = np.ldexp(1.0, -np.arange(60))  # of a bit, in widths of the one class that all leaves may be
+_BITS_A_CLASS = 53  # its bounds, and the fixed size of a set
+_PRICES = np.ldexp(1.0, -np.arange(60))  # prices of a bit to try, in units of the width of one class of all leaves
 
 
 def classify_bounds(
@@ -194,18 +189,17 @@ def classify_bounds(
     volume: Float[np.ndarray, "leaves"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"]:
-    """Codes of lower and upper bounds of the classes of leaves, of the least mean width for so many bits.
+    """Replace the codes of leaves by codes of classes: the smallest mean width of bounds that fits into ``max_bits``.
 
-    A class is of leaves whose larger codes are in a range, and its codes are the largest of its leaves. The best
-    ranges at a price of a bit are found by dynamic programming: the best ones up to each code end in some range, and
-    before it are the best ones up to there. The price falls as long as there is room. Bounds are multiples of the
-    factors of their codes.
+    A class holds the leaves whose larger code is in a range, with the largest codes among them. Dynamic programming
+    finds the best ranges at a price of a bit; the price falls until the classes no longer fit. ``code_factor`` maps a
+    code to its bound in units of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
 
     def of_ranges(of_rank: Shaped[np.ndarray, "ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
-        """What folds up over all ranges, from a first rank to a last one."""
+        """Reduce values over all ranges of ranks, by first and last rank."""
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
 
     highest = np.zeros((2, number), codes.dtype)
@@ -241,9 +235,9 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Codes of the narrowest of given classes that holds each leaf; None if there is none, or not room for them.
+    """Return codes of the narrowest given class that contains each leaf; None if a leaf has none or they do not fit.
 
-    After a change that keeps most leaves, most are in the class that they were in, and a file says the same of them.
+    After a small change of a map, most leaves keep their class, so most of the file stays the same.
     """
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
@@ -260,7 +254,7 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
-    """Append bounds of classes, at most 16 different ones, and the class of each leaf."""
+    """Append the bounds of at most 16 classes, and the class of each leaf."""
     _, first, class_of, size = np.unique(
         _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )
@@ -273,18 +267,17 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
 
 
 def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
-    """Each class once."""
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
 def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
-    """Both codes of each as one number, in their order."""
+    """Combine the lower and upper code of each leaf into one sortable integer."""
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """What :func:`write_classes` appended; raises ``ValueError`` saying what is wrong with it."""
+    """Read what :func:`write_classes` appended; ``ValueError`` describes damaged data."""
     count = int(body.read_alike(1, _COUNT_BITS)[0]) + 1
     classes = body.read_alike(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -297,21 +290,22 @@ def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
 _A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)
 _MAX_ERROR_BITS = 32
-_BYTES_A_BIT, _LEAST_BITS = 16, 80  # of leaves, for each bit of classes: a 128th; with fewer bits there are none
+# Classes get one bit for each 16 bytes of leaves (1/128 of their size); with fewer than 80 bits there are none.
+_BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """What a file keeps of a proof; the numbers are those in files."""
+    """The kinds of proof that a file can store, with their numbers in files."""
 
     NONE = 0
     CLASSES = 1
-    """Of classes of leaves; of all of them, the largest error alone, where there is no room for more."""
+    """Bounds of classes of leaves, or only the largest error if there is no room for classes."""
     LEAVES = 2
     OPEN_LEAVES = 3
-    """Of leaves, some of which have no upper bound."""
+    """Bounds of every leaf, some without an upper bound."""
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Most bits that it takes, of leaves that take so many bytes."""
+        """Return the largest number of bits of this proof, if the leaves take ``num_bytes``."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
@@ -322,12 +316,12 @@ def _room_for_classes(num_bytes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Proven bounds of the distance minus what a PLR answers.
+    """Proven bounds of the distance minus the values of a PLR.
 
     Attributes:
-        scale: Of the codes: the largest bound there is; exact in 32 bits.
-        codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
-        proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
+        scale: The largest bound, exact in 32 bits, in which codes are expressed.
+        codes: Codes of lower and upper bounds; None if only the scale is stored.
+        proof: Kind of proof. With ``OPEN_LEAVES``, the largest upper code means that there is no upper bound.
     """
 
     scale: float
@@ -343,16 +337,17 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """The certificate of bounds, and of what queries round; upper ones may be ``inf`` for open leaves.
+        """Make a certificate from bounds of leaves, widened by the ``rounding`` of queries.
 
-        Classes are those of a certificate before, if these will do; else they are chosen for a small mean width over
-        leaves of such volumes, which take so many bytes.
+        ``bounds.upper`` may be ``inf`` for open leaves. Classes are taken from ``before`` if all bounds fit; else
+        they are chosen for a small mean width, weighted by ``volume``. ``num_bytes`` is the size of the leaves in the
+        file.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
-            largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # so that no bound has the largest code
+            largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
         codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
@@ -369,11 +364,11 @@ class Certificate:
 
     @property
     def max_error(self) -> float:
-        """Of the largest error anywhere; ``inf`` if a leaf has no upper bound."""
+        """The largest error anywhere; ``inf`` if a leaf has no upper bound."""
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """What is to be added to answers for lower and upper bounds, exact in 32 bits: of each leaf, or of all."""
+        """Return the offsets from values to lower and upper bounds, exact in 32 bits, for each leaf or for all."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -393,10 +388,10 @@ class Certificate:
         most: Float[np.ndarray, "leaves"],
         rounding: Float[np.ndarray, "leaves"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-        """Bounds of leaves than which better ones are not needed, given errors that are met.
+        """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
 
-        Those of the narrowest class that holds these, less what queries round; or such as are off by little of the
-        largest error of all.
+        They are the bounds of the narrowest class that contains the attained errors, less the rounding of queries, or
+        exceed these errors by a small share of the largest error of all.
         """
         spare = LEAST_OF_LARGEST * self.scale
         least, most = least - spare, most + spare
@@ -409,7 +404,6 @@ class Certificate:
         return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
     def write(self, body: BitWriter) -> None:
-        """Append it to a file."""
         classes = self.codes if self.proof is Proof.CLASSES else None
         body.write_floats(np.array([self.scale if classes is None else -self.scale]))
         if classes is not None:
@@ -419,7 +413,7 @@ class Certificate:
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certificate | None:
-    """What :meth:`Certificate.write` appended; raises ``ValueError`` saying what is wrong with it."""
+    """Read what :meth:`Certificate.write` appended; ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
     scale, codes = float(body.read_floats(1)[0]), None
@@ -433,15 +427,15 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certific
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    """Bounds of codes, as 32-bit floats that are not below them."""
+    """Return the bounds of codes, rounded up to 32-bit floats."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
 def _encode_bounds(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
-    """The smallest codes whose bounds are not below."""
+    """Return the smallest codes whose bounds are not below the given ones."""
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)
-    short = (_decode_bounds(code, scale) < bound) & (code < _MOST)  # by rounding of the logarithm
+    short = (_decode_bounds(code, scale) < bound) & (code < _MOST)  # if the logarithm was rounded down
     return code + short.astype(np.uint8)
