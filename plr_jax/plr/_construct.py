@@ -119,7 +119,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """Return the options as text that identifies them in a checkpoint, the same in every process."""
+        """The options as text that identifies them in a checkpoint, the same in every process."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -352,12 +352,11 @@ def build_best_model(
     only_bytes: bool,
     seed: int,
 ) -> tuple[DecodedFile, bool]:
-    """Build leaves of all suitable models, and return those with the smallest error.
+    """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
 
-    ``build`` makes leaves from a model's name and an oracle; a model for which it raises ``ValueError`` is skipped.
-    With a proof, models are compared by their largest proven error; without, by :func:`_sampled_error`.
-    ``only_bytes`` tells that neither leaves nor depth are limited and all rules are the defaults. The second result
-    tells whether an interrupt (Ctrl-C) ended the search.
+    A model for which ``build`` raises ``ValueError`` is skipped. Models are compared by their largest proven error,
+    without a proof by :func:`_sampled_error`. ``only_bytes`` tells that only ``max_bytes`` limits the size, and all
+    rules are defaults.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
@@ -404,9 +403,8 @@ def _models_to_try(
 ) -> list[str]:
     """Return the names of the leaf models to compare.
 
-    Cones alone if all corners take at most ``_ROOMY`` of ``max_bytes``: their mean errors were 10 to 1,000 times
-    smaller on all maps of the experiments. Above ``_CROWDED`` no cones, since a few leaves could err far more. In
-    between, cones and other models: all of them with a proof; else continuous and smooth leaves.
+    On all maps of the experiments, cones whose corners take at most ``_ROOMY`` of ``max_bytes`` had 10 to 1,000 times
+    smaller mean errors. Above ``_CROWDED``, a few cones could err far more than other leaves.
     """
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
     others = [name for name in leaf_names() if name not in cones]
@@ -435,11 +433,10 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR.
 
-    No point is sampled: the oracle tells, for whole cells, which sources some of their points use and which sources
-    all of their points see. The proof holds for all points of the domain that reach the goal. It is relative to this
-    oracle: if the oracle itself approximates, for example by an inflated workspace, the proof does not cover that
-    error. Where two parts of free space touch in a point, the cell there covers both, so the proven error is at least
-    half of the jump between them.
+    No point is sampled: the oracle tells, for whole cells, which sources some of their points use and which all of
+    their points see. The proof holds for all points of the domain that reach the goal, relative to this oracle: if
+    the oracle approximates, for example by an inflated workspace, that error is not included. Where two parts of free
+    space touch in a point, the cell there covers both, so the proven error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
@@ -448,12 +445,12 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
 
     Returns:
-        The same PLR with this proof, in ``max_error`` and ``bounds``; an earlier proof is replaced.
+        The same PLR with this proof, in ``max_error`` and ``bounds``, instead of any earlier one.
 
     Raises:
-        ValueError: If ``plr`` is no PLR in the plane or its points are folded; its domain is periodic, or so far from
-            the origin that free space is known to less than 1/10,000 of its shorter side; ``leaf_bounds`` is no bool;
-            the oracle does not answer for cells; or a leaf stores ``inf`` although some of its points reach the goal.
+        ValueError: If ``plr`` is no PLR in the plane or is folded; its domain is periodic, or too far from the origin
+            for a proof; ``leaf_bounds`` is no bool; the oracle does not answer for cells; or a leaf stores ``inf``
+            although some of its points reach the goal.
     """
     from plr_jax.plr._plr import PLR, with_certificate  # imports JAX
 

@@ -59,10 +59,7 @@ def certificate_of_bounds(
     proof: Proof,
     before: Certificate | None = None,
 ) -> Certificate:
-    """Encode bounds of leaves, widened by the rounding of queries, as a certificate.
-
-    The classes of ``before`` are used again if all bounds fit into them.
-    """
+    """Encode bounds of leaves, widened by the rounding of queries; reuse the classes of ``before`` if they fit."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
 
@@ -72,8 +69,6 @@ class BuildInputs:
     """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        oracle: The distance function.
-        max_bytes: Largest size of the file; None if there was no such limit.
         bounds: Proven bounds of each leaf; None: those of the certificate.
         node_costs: Costs of the nodes of the tree as leaves; None if unknown.
     """

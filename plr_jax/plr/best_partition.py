@@ -1,9 +1,8 @@
 """Find the dyadic partition that minimizes error plus a price per leaf, among all dyadic partitions.
 
-Best-first splitting judges an axis by the gain of one split and never reconsiders. Here dynamic programming works
-upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The price falls, and more boxes
-are computed, until the best tree exceeds its limits. Then the lowest price within the limits is found by
-interpolation.
+Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The
+price falls, and more boxes are computed, until the best tree exceeds its limits. Then the lowest price within the
+limits is found by interpolation.
 
 Trees of several members (goals of one workspace) are searched together. Boxes that are equal for several members are
 computed once; the result of a member does not depend on the other members.
@@ -35,10 +34,7 @@ class BoxLevel:
     """The distinct boxes with the same number of splits that were computed.
 
     Attributes:
-        boxes: Plane boxes with ``cells``; the largest ``error`` of each as a leaf (0 if negligible) and the
-            ``integral`` of its error over its share of the domain; ``append(others)``; and ``new_halves(parent, axis,
-            is_upper, known)``, which returns the distinct halves with unknown keys, their keys, and the keys of all
-            halves.
+        boxes: Plane boxes, such as ``ConeBoxes``: ``cells``, ``error``, ``integral``, ``append`` and ``new_halves``.
         key: A key that identifies each box.
         child: Index of each box's halves in the next level, by axis, half and box; ``UNKNOWN`` or ``PRUNED`` if none.
     """
@@ -49,7 +45,6 @@ class BoxLevel:
 
     @staticmethod
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
-        """Make a level of boxes whose halves are unknown."""
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
@@ -70,16 +65,14 @@ def expand(
     margin: float = np.inf,
     share: float = 0.0,
 ) -> None:
-    """Compute the halves of all boxes that cost more than a price, level by level.
+    """Compute the halves of all boxes that cost more than a price, level by level, and add them to ``levels``.
 
     Args:
-        levels: Levels of boxes, extended in place.
-        price: Price of a leaf for each box of the first level; ``inf`` excludes a box. A box inherits the lowest
-            price of the boxes that contain it.
+        levels: Levels of boxes.
+        price: Price of a leaf for each box of the first level, inherited by smaller boxes; ``inf`` excludes a box.
         least_share: Weight of the largest error in the cost of a box.
         limits: Depth limits.
-        margin: The halves along one axis are pruned if they cost more than this multiple of the halves along the
-            other axis; ``inf`` keeps the search exact.
+        margin: Halves are pruned if they cost more than this multiple of the halves along the other axis.
         share: Weight of the largest error in that comparison.
     """
     for depth in range(limits.max_depth):
@@ -153,7 +146,7 @@ class SearchPruning(NamedTuple):
     """Shortcuts of a search, for speed.
 
     Attributes:
-        margin: See :func:`expand`.
+        margin: See :func:`expand`; ``inf`` keeps the search exact.
         attempts: Largest number of prices to try between a tree that fits and one that does not.
         full: Share of the limits at which a tree is large enough.
         keeps_split_order: Whether the file stores the tree as found; else in the slower canonical form of
@@ -171,13 +164,11 @@ EXACT = SearchPruning()
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """A member's best tree at a price per leaf.
+    """A member's best tree at a price per leaf; its nodes and leaves are level by level.
 
     Attributes:
-        leaves: For each level, the boxes that are leaves.
-        axes: Split axis of each node, level by level; -1 for a leaf.
-        order: Permutation of the leaves, from level by level to the order of the tree's traversal.
-        is_final: Whether the search is over.
+        axes: Split axis of each node; -1 for a leaf.
+        order: Permutation of the leaves into the order of the tree's traversal.
     """
 
     leaves: Leaves
@@ -216,7 +207,7 @@ class PriceSearch:
         roots: Box of the first level at which each member starts.
         limits: The limits of each member.
         size: Function from a member and its tree to the bytes of its file.
-        num_sources: Number of sources that leaves may use, for a better estimate of the first price.
+        num_sources: Number of sources that leaves may use, for a better first price.
         pruning: Shortcuts of the search.
     """
 
@@ -236,11 +227,7 @@ class PriceSearch:
         self._own: list[list[MemberBoxes]] = [[]] * len(roots)
 
     def first(self) -> Forest:
-        """Return the smallest trees.
-
-        Raises:
-            BudgetTooSmall: If a smallest tree exceeds the byte budget.
-        """
+        """Return the smallest trees; ``BudgetTooSmall`` if one of them exceeds the byte budget."""
         trees = []
         for member in range(len(self._roots)):
             self._select_boxes(member, _HIGH, 1.0)
@@ -276,10 +263,7 @@ class PriceSearch:
         return Forest(trees)
 
     def _next_price(self, member: int, now: PricedTree) -> tuple[float, float]:
-        """Return the next price, and the weight of largest errors in costs.
-
-        At this price the tree should be a good deal larger or, near the limits, slightly exceed them.
-        """
+        """Return a price for a larger tree (slightly beyond nearby limits), and the weight of largest errors."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -303,7 +287,6 @@ class PriceSearch:
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
     def _share(self, tree: PricedTree) -> float:
-        """Return how much of its limits a tree uses; more than 1 if it exceeds them."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:

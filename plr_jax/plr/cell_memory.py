@@ -1,7 +1,4 @@
-"""Sources of cells in the plane: which points the shortest paths of a cell may go to first.
-
-A cell inherits the candidates from the cell that it is a half of, so sources are computed down the tree and cached.
-"""
+"""Sources of cells: the points to which shortest paths from a cell go first; halves inherit candidates."""
 
 from collections.abc import Iterator
 from typing import TypeAlias

@@ -36,7 +36,6 @@ from plr_jax.plr.frame import LARGEST
 # sources that some of its points may use. If no source is seen by all of the piece, the upper bound is the distance
 # of the piece's center plus the straight path to it, which is free.
 
-
 ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
 """Function from pieces, apexes, offsets and rows to the smallest and largest value of cone minus leaf function.
 
@@ -47,10 +46,7 @@ Each piece has one cone; its row is the index of its leaf.
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return bounds of the distance minus a leaf's function, over pieces, to within the ``slack`` of the sources.
-
-    A piece may occur several times, for different leaves: ``cones_above`` identifies each occurrence by its row.
-    """
+    """Bound the distance minus the leaf's function of each row over pieces, to within the sources' ``slack``."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -124,9 +120,8 @@ def prove_bounds(
 ) -> LeafBounds:
     """Prove bounds for leaves from their sources as cells.
 
-    Computed in double precision, whose rounding is far below the ``slack`` of the sources, which the bounds include.
-    ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to the
-    attained errors, in units of the largest error of all.
+    ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to these
+    errors. Double precision rounds far less than the ``slack`` of the sources, which the bounds include.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -177,7 +172,6 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
 # Classes of leaves with common bounds are nearly as narrow as bounds of every leaf, for few bits: most leaves have
 # far smaller errors than the few worst, such as leaves where walls touch.
 
-
 _COUNT_BITS = 4
 _BITS_A_CLASS = 53  # its bounds, and the fixed size of a set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices of a bit to try, in units of the width of one class of all leaves
@@ -191,9 +185,8 @@ def classify_bounds(
 ) -> Integer[np.ndarray, "2 leaves"]:
     """Replace the codes of leaves by codes of classes: the smallest mean width of bounds that fits into ``max_bits``.
 
-    A class holds the leaves whose larger code is in a range, with the largest codes among them. Dynamic programming
-    finds the best ranges at a price of a bit; the price falls until the classes no longer fit. ``code_factor`` maps a
-    code to its bound in units of the scale.
+    A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
+    a bit; the price falls until the classes no longer fit. ``code_factor`` maps codes to multiples of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -235,10 +228,7 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Return codes of the narrowest given class that contains each leaf; None if a leaf has none or they do not fit.
-
-    After a small change of a map, most leaves keep their class, so most of the file stays the same.
-    """
+    """Return codes of the narrowest given class that contains each leaf; None if none does or they do not fit."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -302,7 +292,7 @@ class Proof(IntEnum):
     """Bounds of classes of leaves, or only the largest error if there is no room for classes."""
     LEAVES = 2
     OPEN_LEAVES = 3
-    """Bounds of every leaf, some without an upper bound."""
+    """Bounds of every leaf; the largest upper code means that there is no upper bound."""
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the largest number of bits of this proof, if the leaves take ``num_bytes``."""
@@ -321,7 +311,6 @@ class Certificate:
     Attributes:
         scale: The largest bound, exact in 32 bits, in which codes are expressed.
         codes: Codes of lower and upper bounds; None if only the scale is stored.
-        proof: Kind of proof. With ``OPEN_LEAVES``, the largest upper code means that there is no upper bound.
     """
 
     scale: float
@@ -337,11 +326,9 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """Make a certificate from bounds of leaves, widened by the ``rounding`` of queries.
+        """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
 
-        ``bounds.upper`` may be ``inf`` for open leaves. Classes are taken from ``before`` if all bounds fit; else
-        they are chosen for a small mean width, weighted by ``volume``. ``num_bytes`` is the size of the leaves in the
-        file.
+        Classes are those of ``before`` if all bounds fit; else their mean width, weighted by ``volume``, is small.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -390,8 +377,7 @@ class Certificate:
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
         """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
 
-        They are the bounds of the narrowest class that contains the attained errors, less the rounding of queries, or
-        exceed these errors by a small share of the largest error of all.
+        They are those of the narrowest class that contains these errors, or slightly beyond the errors.
         """
         spare = LEAST_OF_LARGEST * self.scale
         least, most = least - spare, most + spare

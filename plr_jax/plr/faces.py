@@ -18,11 +18,10 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
-    """Find pairs of leaves by descending two trees at once; the larger node of a pair is replaced by its children.
+    """Find pairs of leaves by descending two trees at once; the larger node of a pair gives way to its halves.
 
-    The first two rows of ``pairs`` are nodes of ``a`` and of ``b``; children inherit further rows. ``keep`` filters
-    the pairs of children. In the result, the first two rows are leaves, numbered in the order of their tree's
-    traversal.
+    ``pairs`` has nodes of ``a``, nodes of ``b``, and rows that halves inherit. In the result, leaves have their index
+    in their tree's order.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -48,7 +47,6 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
 def overlap(
     a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether cells overlap along an axis; one of two overlapping dyadic intervals contains the other."""
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
@@ -78,10 +76,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a matrix on the groups for which all rows vanish: Gaussian elimination of each row's finest group.
-
-    Raises ``ValueError`` if it takes more than ``most`` operations.
-    """
+    """Return a matrix on the groups that makes all rows vanish, by elimination of each row's finest group."""
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # eliminated group -> combination of others
@@ -211,12 +206,9 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
-    """Return all shared faces, sorted by lower leaf, upper leaf and axis; ``ValueError`` if they are too many.
-
-    The search starts at the halves of every split, and at the root with itself across the seam of each ``periodic``
-    axis.
-    """
+    """Return all shared faces, sorted by lower leaf, upper leaf and axis; ``ValueError`` if they are too many."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
+    # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     seams = np.flatnonzero(periodic)
@@ -236,10 +228,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of faces as fractions of the domain; ``w`` from 0 to 1 spans the shared part along each axis.
-
-    Points on a periodic seam are at 1, the side of the lower leaf.
-    """
+    """Return points of faces as fractions of the domain; ``w`` spans the shared part from 0 to 1 along each axis."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -250,10 +239,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return, for every corner of every leaf, the ends of the edge that a split halved there, and whether one did.
-
-    The last split that made the corner counts. The ends are nodes ``leaf * 2**dim + corner``.
-    """
+    """Return the ends of the edge that a split halved at each corner of every leaf, and whether there is one."""
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

@@ -74,10 +74,9 @@ class NodalSpace:
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """Build the space of functions that are continuous across the tied faces.
+    """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
 
-    No tied face touches an unreachable leaf; such a leaf has no degrees of freedom. ``ValueError`` if leaves hang on
-    one another so often that the constraints would take too long to resolve.
+    ``ValueError`` if leaves hang on one another so often that the constraints would take too long to resolve.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
@@ -276,18 +275,15 @@ def _derivatives(
 
 
 def _values_and_derivatives(space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the Hermite coefficients of all leaves.
-
-    Derivatives are taken with respect to fractions of the domain, and scaled to each leaf's size in step 3.
-    """
+    """Return the matrix from the free degrees of freedom to the Hermite coefficients of all leaves."""
     from scipy.sparse import csr_array, diags_array, kron
 
     kinds, group, leaf_depth = corner_bits(space.dim), space.group, space.tree.leaves.depth
     size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
     depth = np.repeat(leaf_depth, size, axis=0)
     is_answered = np.diff(space.values.indptr) > 0
-    # 1. Groups that do not hang: weighted means of the (mixed) derivatives of the multilinear functions around a
-    # corner.
+    # 1. Derivatives by fractions of the domain at groups that do not hang: means over the leaves around the corner,
+    # of the (mixed) derivatives of their multilinear functions.
     is_averaged = is_answered & ~np.isin(group, space.hanging)
     of_free_dofs = csr_array((num_groups * size, len(space.free_dofs)))
     for kind, along in enumerate(kinds):

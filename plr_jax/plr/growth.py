@@ -1,8 +1,8 @@
 """Grow a partition best-first (Algorithm 1 of the paper): rules, limits, and the choice of the final leaves.
 
-A priority queue would split the leaf of the largest priority, one at a time. Here each round splits many leaves at
-once, and splits beyond the limits are undone at the end; the resulting tree is the same. Under a byte budget, the
-final tree is a prefix of the split order, chosen together with the number of bits for each coefficient.
+Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
+priority queue split one leaf at a time. Under a byte budget, the final tree is a prefix of the split order, chosen
+together with the number of bits for each coefficient.
 """
 
 import os
@@ -29,11 +29,7 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for one leaf.
-
-    Attributes:
-        num_bytes: Number of bytes that suffice.
-    """
+    """An error: a byte budget is too small even for one leaf, which takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int, what: str = "one leaf"):
         super().__init__(max_bytes, num_bytes, what)  # all arguments, for pickling
@@ -52,10 +48,8 @@ class ConstructionInterrupted(UserWarning):
 class Limits:
     """The limits of a construction: see :func:`construct`.
 
-    Attributes:
-        max_axis_depth: Largest number of halvings of a cell along one axis, which bounds the size of query tables.
-        proof: Kind of proof for which files leave room.
-        frame_bytes: Bytes of a file besides its bit stream.
+    ``max_axis_depth`` limits the halvings along one axis, and so the size of query tables. ``frame_bytes`` are the
+    bytes of a file besides its bit stream.
     """
 
     max_depth: int
@@ -77,7 +71,6 @@ class Limits:
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
-    """Raise ``ValueError`` if a tree of ``num_nodes`` nodes does not fit into this machine's memory."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
@@ -114,8 +107,7 @@ class Nodes(Rows):
     Attributes:
         error: Mean error over a node's reachable samples.
         share: Share of the domain's volume that these samples represent.
-        axis: Axis along which the node is or would be split.
-        key: Sort key of the node's split: its priority, capped by its parent's key; ``-inf`` if it may not be split.
+        key: Sort key of the split: its priority, capped by the parent's key; ``-inf`` if the node may not be split.
         child: Index of the lower child, followed by the upper one; -1 for a leaf.
     """
 
@@ -140,10 +132,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Return the nodes that are or may be split, in the order of a priority queue.
-
-    Keys do not rise from parent to child, so every prefix of this order is a tree.
-    """
+    """Return the nodes that are or may be split, in a priority queue's order; every prefix of it is a tree."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -173,7 +162,6 @@ def nodes_of_fit(
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
-    """Return the priority that a cell must exceed to be split: the tolerance, or its noise if larger."""
     return np.maximum(limits.tolerance, fit.noise)
 
 
@@ -200,7 +188,6 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
 #
 # ``should_split`` gives every cell a priority: the leaf of the largest positive priority is split next. ``split``
 # gives the axis along which to halve a cell.
-
 
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
@@ -284,10 +271,7 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    """Return the sum of squared errors of each cell's samples if its halves along each axis were fitted separately.
-
-    The cell's plane lies in the span of planes in both halves, so it suffices to fit these to the residuals.
-    """
+    """Return the sum of squared residuals of each cell if its halves along each axis were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = np.square(residual) @ fit.pattern.weight
@@ -315,12 +299,10 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """How a model whose leaves are fitted independently stores them.
+    """How a model stores independent leaves: bits to choose from, size of the file, rounding error.
 
-    Attributes:
-        choices: Numbers of bits to choose from.
-        size: Function from nodes, leaves and bits to the bytes of a file.
-        rounding_error: Function of the same arguments; the root mean square error of rounding.
+    ``size`` and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among them, and
+    bits.
     """
 
     choices: Sequence[int]

@@ -23,12 +23,7 @@ _FACE_WEIGHT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A sample pattern, the same for all cells.
-
-    Attributes:
-        u: Local coordinates of the samples; ``[-1, 1]`` spans the cell.
-        weight: Weight of each sample in the fit.
-    """
+    """A sample pattern for all cells: local coordinates, in which ``[-1, 1]`` spans a cell, and fit weights."""
 
     u: Float[np.ndarray, "k dim"]
     weight: Float[np.ndarray, "k"]
@@ -38,7 +33,6 @@ class Pattern:
 
     @cached_property
     def reaches_beyond(self) -> bool:
-        """Whether some samples lie outside their cell."""
         return bool((np.abs(self.u) > 1).any())
 
     @cached_property
@@ -76,9 +70,8 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of at least ``dim + 1`` samples: center, Sobol points inside, corners if few, and faces.
 
-    A third of the samples lie on the faces, with small weight. They detect slivers of free space behind a wall, and
-    the corners where a distance deviates most from its plane, but hardly shape the fit. Coordinates are in ``[-1 - 2
-    margin, 1 + 2 margin]``.
+    A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the corners where a
+    distance deviates most from its plane; their small weight hardly shapes the fit. A margin scales all coordinates.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -104,7 +97,6 @@ def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndar
 # In the local coordinates ``u`` of a cell (``[-1, 1]`` along every axis) a plane is ``L(u) = center + half . u``: its
 # center value and its half-differences. All cells without unreachable samples have the same design matrix, so one
 # pseudo-inverse serves them.
-
 
 # Ridge on the slope, relative to the sum of weights. It changes determined fits by less than 1e-8, and makes the
 # slope zero along directions in which no sample varies.
@@ -210,15 +202,11 @@ class CellFit(Rows):
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Whether so few samples of a cell reach the goal that a plane fits them anyway.
-
-        The residuals of such a cell hide its error.
-        """
+        """Whether so few samples reach the goal that a plane fits them anyway, and residuals hide its error."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
-        """Whether a cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
@@ -229,10 +217,7 @@ class CellFit(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A sampler of cells: the distance function and everything else that stays the same during a construction.
-
-    ``dense_pattern`` is for cells in which few samples reach the goal. A ``memory`` knows exact distances in cells.
-    """
+    """A sampler of cells; the dense pattern is for cells in which few samples reach the goal."""
 
     distance_fn: DistanceFn
     domain: Box
@@ -271,11 +256,7 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the whole domain as one cell.
-
-        ``ValueError`` if no sample reaches the goal; with ``pieces_suffice``, a free piece that reaches the goal is
-        enough.
-        """
+        """Sample the domain as one cell; ``ValueError`` if no sample (or free piece, if allowed) reaches the goal."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):

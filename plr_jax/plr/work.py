@@ -1,7 +1,7 @@
 """Long computations: parallel workers, and checkpoint files that keep finished results.
 
-A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. A record
-that a kill or a full disk cut short is dropped when the file is opened again.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When it is
+opened again, a record that was cut short is dropped.
 """
 
 import os
@@ -33,18 +33,11 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """A checkpoint file, opened or created.
-
-    Args:
-        path: The file.
-        digest: Bytes that identify the computation: see :func:`digest_of`.
-
-    Attributes:
-        records: Finished results, by key.
+    """A checkpoint file, opened or created; ``records`` has the finished results by key.
 
     Raises:
-        ValueError: If the file belongs to another computation or is no checkpoint.
-        OSError: If it cannot be read or written.
+        ValueError: If the file's head is not that of a checkpoint with this ``digest``.
+        OSError: If the file cannot be read or written.
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
@@ -69,7 +62,6 @@ class Checkpoint:
             self._append(self._head)
 
     def add(self, records: Mapping[bytes, bytes]) -> None:
-        """Append finished results, and flush them to disk."""
         self.records.update(records)
         self._append(_encode_records(records))
 
@@ -78,7 +70,7 @@ class Checkpoint:
         write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
-        """Write after the last whole record, over a record that was cut short."""
+        """Write after the last whole record, and flush to disk."""
         with open(self._path, "r+b" if self._path.exists() else "xb") as file:
             file.seek(self._end)
             file.write(data)
@@ -106,10 +98,10 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """Return a digest of a computation: the release, domain, options and distance functions.
+    """Return a digest that identifies a computation by release, domain, options and distances at test points.
 
-    A distance function is identified by its distances at test points, a member of a family by its sources' distances.
-    Distances count as 32-bit floats, since other machines may round differently.
+    Members of a family have their sources' distances instead. Other machines may round differently, so distances
+    count as 32-bit floats.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
@@ -169,12 +161,7 @@ Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
 
 
 class BuildResults:
-    """The results of all parts of a computation, as bytes; None for missing parts.
-
-    Args:
-        total: The number of parts.
-        checkpoint: File that keeps finished parts, and provides earlier ones; None: no file.
-    """
+    """The results of all parts of a computation, as bytes; None for missing parts."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
@@ -182,14 +169,13 @@ class BuildResults:
 
     @property
     def count(self) -> int:
-        """The number of finished parts."""
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Compute chunks of parts with the executor, or with threads of this process.
+        """Compute chunks of parts with the executor, and with threads of this process if it is None or a worker dies.
 
-        If a worker of the executor dies, threads compute the chunks that are left. After an interrupt (Ctrl-C),
-        finished parts are in ``results``. Once all parts are finished, the checkpoint is sorted.
+        After an interrupt (Ctrl-C), finished parts are in ``results``. Once all parts are finished, the checkpoint is
+        sorted.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:

@@ -19,8 +19,6 @@ from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 
 class Rules(NamedTuple):
-    """The rules SHOULDSPLIT and SPLIT of Algorithm 1."""
-
     should_split: ShouldSplitRule
     split: SplitRule
 
@@ -59,9 +57,7 @@ class LeafModel(ABC):
         ...
 
     @abstractmethod
-    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
-        """Append the stored form to a file."""
-        ...
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None: ...
 
     @abstractmethod
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
@@ -70,10 +66,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
-        """Return the coefficients of every leaf's function.
-
-        A leaf from which nothing reaches the goal has ``inf``, then zeros.
-        """
+        """Return the coefficients of every leaf: ``inf``, then zeros, if nothing in it reaches the goal."""
         ...
 
     @abstractmethod
@@ -91,10 +84,9 @@ class LeafModel(ABC):
     def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """Return the numbers that a query reads for every leaf.
+        """Return the numbers that a query reads for every leaf, for coordinates relative to ``corner``.
 
-        Coordinates count from ``corner``. Leaves whose first coefficient is ``inf`` get the value ``inf`` and slope
-        0.
+        Leaves whose first coefficient is ``inf`` get the value ``inf`` and slope 0.
         """
         ...
 
@@ -141,10 +133,7 @@ class LeafModel(ABC):
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the file size, without a byte budget, from which the largest depth of the tree follows.
-
-        The actual file may be smaller, and then offer fewer slots than the tree needs.
-        """
+        """Return the size of a file, without a byte budget, that determines the largest depth of its tree."""
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(
@@ -169,9 +158,7 @@ class LinearLeafModel(LeafModel):
     """
 
     @abstractmethod
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-        """Return the basis functions at local coordinates ``u``."""
-        ...
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]: ...
 
     @abstractmethod
     def coefficients_of_planes(
@@ -243,8 +230,6 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Return the largest absolute coordinate that a query rounds to 32 bits, along each axis.
-
-    If the domain is far from the origin, queries count points from a corner before they round.
-    """
+    """Return the largest absolute coordinate that a query rounds to 32 bits, along each axis."""
+    # Far from the origin, queries subtract a corner before they round.
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

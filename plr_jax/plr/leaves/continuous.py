@@ -78,10 +78,7 @@ _INSET = 0.998  # keeps test points off the ends of a face, which other faces sh
 
 
 class FaceTests:
-    """A cached test of which faces are free.
-
-    A face is free if at one of its test points the goal can be reached from both sides.
-    """
+    """A cached test of which faces are free: at one of its points, the goal can be reached from both sides."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -114,11 +111,7 @@ class FaceTests:
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a multivariate polynomial at ``t`` by Horner's rule along each axis.
-
-    ``coefficients`` are by powers of ``t``, the last axis fastest. They and ``t`` may be arrays, scalars or
-    expressions.
-    """
+    """Evaluate a polynomial at ``t`` by Horner's rule; coefficients are by powers of ``t``, the last axis fastest."""
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
@@ -131,10 +124,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition, the faces its leaves share, and the tied faces, across which functions are continuous.
-
-    ``tied`` may not contain faces of ``unreachable`` leaves, from which no sample reaches the goal.
-    """
+    """A partition whose functions are continuous across ``tied`` faces, all between reachable leaves."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -171,10 +161,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values >= 0 at the corners of leaves; the result is >= 0 as well.
-
-        Values at hanging corners are ignored: they follow from the free degrees of freedom.
-        """
+        """Round values >= 0 at leaf corners, without getting negative; hanging corners follow from the others."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -196,10 +183,7 @@ class StoredValues:
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """Read what :meth:`StoredValues.write` appended, for leaves in a domain with ``periodic`` axes.
-
-    ``ValueError`` describes damaged data.
-    """
+    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
@@ -240,10 +224,7 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function; its length is its number of leaves.
-
-    Rows of ``fit`` are the samples of the leaves in tree order; their residuals are those of the fitted function.
-    """
+    """A partition with its fitted function, whose residuals are in ``fit``; the length is the number of leaves."""
 
     fit: CellFit
     stored: StoredValues
@@ -254,11 +235,7 @@ class _FittedPartition:
 
 
 def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> StoredValues:
-    """Grow a partition by splitting in rounds; every round fits the whole function again.
-
-    Raises:
-        BudgetTooSmall: If the byte budget is too small for one leaf.
-    """
+    """Grow a partition in rounds; each round splits leaves and fits the whole function again."""
     rounds = _Rounds(order, sampler, rules, limits)
     root = rounds.fit_leaves(sampler.root())
     limits.require_room(root.num_bytes)
@@ -340,11 +317,7 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit the free degrees of freedom to the samples of all leaves by weighted least squares.
-
-    Returns:
-        The fitted values, and the residuals (sampled distance minus function; 0 for samples without weight).
-    """
+    """Fit the free degrees of freedom to the samples of all leaves; also return the residuals."""
     from scipy.sparse import bsr_array, diags_array
 
     coefficients = coefficient_matrix(order, space)
@@ -368,9 +341,8 @@ def fit_values(
 class Continuous(LinearLeafModel):
     """A leaf model without jumps across free faces: ``"continuous"`` or ``"smooth"`` leaves.
 
-    A face is free if from one of its points the goal can be reached on both sides. Functions may jump across walls,
-    so obstacles do not blur them. Coefficients are the values at a leaf's corners, for order 1 also the derivatives
-    there.
+    A face is free if from one of its points the goal can be reached on both sides; functions may jump across walls.
+    Coefficients are the values at a leaf's corners, for order 1 also the derivatives there.
 
     Args:
         order: 0: continuous values, multilinear in every leaf (``"continuous"``), in at most 6 dimensions. 1:
@@ -380,8 +352,8 @@ class Continuous(LinearLeafModel):
         ValueError: If the order is neither 0 nor 1.
 
     References:
-        Bogner, Fox, Schmit, "The generation of interelement-compatible stiffness and mass matrices by the use of
-            interpolation formulas", 1965 (order 1).
+        Order 1: Bogner, Fox, Schmit, "The generation of inter-element-compatible stiffness and mass matrices by the
+            use of interpolation formulas", 1965.
     """
 
     order: int = 0
@@ -432,11 +404,6 @@ class Continuous(LinearLeafModel):
     def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """Return each leaf's cell number along every axis, then its coefficients by powers of ``t``.
-
-        Along an axis, number 1 is the whole domain, and interval ``i`` has the halves ``2 i`` and ``2 i + 1``. The
-        exponent of such a number, as a 32-bit float, gives the number of intervals of that size in the domain.
-        """
         is_inf = np.isinf(coefficients[:, 0])
         powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
         powers[is_inf, 0] = np.inf

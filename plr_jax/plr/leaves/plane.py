@@ -37,7 +37,6 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 #     for every axis: half-difference of every other leaf, in two's complement (or a float's bits), in the width of
 #       the leaf's depth along that axis
 
-
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
 _FLOAT_INF = 0x7F800000
@@ -46,10 +45,7 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes exactly as in the file, as integer codes or bit patterns of floats (with offset 0 and step 1).
-
-    Half-differences are signed. ``unreachable_code`` in ``center`` marks a leaf without a reachable sample.
-    """
+    """Planes as integer codes, or as bit patterns of floats, exactly as in the file."""
 
     bits: int
     offset: float
@@ -102,10 +98,7 @@ def encode_planes(
 def _offset_and_step(
     center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> tuple[float, float]:
-    """Return an offset below all centers, and a step that spans them; both are exact in 32 bits.
-
-    The step is large enough that a half-difference needs at most ``bits + 9`` bits.
-    """
+    """Return an offset and a step, exact in 32 bits, for which half-differences take at most ``bits + 9`` bits."""
     offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
     spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
     step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))

@@ -51,10 +51,7 @@ class StoredSources:
     """Sources as a file stores them: fine sources first, each kind sorted by coordinates.
 
     Attributes:
-        num_fine: Number of sources that are not on the lattice.
-        exponent: Exponent of the power of two that divides fine coordinates.
-        fraction: Lattice coordinates are multiples of ``1 / fraction``.
-        code: Coordinates in these steps.
+        code: Coordinates, for fine sources in steps of ``2**exponent``, for others in steps of ``1 / fraction``.
         parent: Index of the next source on the way to the goal; a root is its own parent.
         root_offset: Offsets of roots, exact in 32 bits; 0 for other sources.
     """
@@ -89,8 +86,6 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
-    """The file form of cones: the sources, and the index of each leaf's source."""
-
     sources: StoredSources
     source: Int[np.ndarray, "leaves"]
 
@@ -101,10 +96,7 @@ def store_sources(
     parents: Int[np.ndarray, "sources"],
     domain: Box,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Convert sources to their file form, without duplicates; also return the new index of each source.
-
-    ``parents`` are indices of sources; a root is its own parent.
-    """
+    """Convert sources to their file form, without duplicates; also return the new index of each source."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -234,7 +226,6 @@ def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
 
 
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
-    """Read the source of each leaf."""
     rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for each in range(_ESCAPE):
         rest = rest[body.read_alike(len(rest), 1) == 0]

@@ -43,7 +43,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes and the source of the best cone for each.
+    """Boxes and the best cone for each.
 
     Attributes:
         negligible: Error up to which a box counts as exact.
@@ -76,8 +76,7 @@ class ConeBoxes(Rows):
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
         """Return the distinct halves of boxes whose keys are not ``known``, their keys, and the keys of all halves.
 
-        For one goal, a key identifies the box. For a family, it also identifies how the members' goals are seen from
-        the box, which is known only after the halves' sources are.
+        A key identifies a box; for a family also how its goals are seen, which needs the sources of the halves.
         """
         cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
         lo, hi = cells.grown_boxes(self.domain)
@@ -165,7 +164,6 @@ def option_errors(
 # the path by it would be as short as the cone. So samples above the cone show where the source is hidden. The
 # alternatives of each box are computed once for all trees that have the box as a leaf.
 
-
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 _LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
@@ -174,12 +172,9 @@ _KEY_BITS = 40  # bits for the index of a box in its level
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The boxes that are the leaves of one goal's tree, in the order of its traversal.
+    """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) and the index of each.
 
-    Attributes:
-        source: Viewpoint (number of the source) of each leaf; -1 if nothing reaches the goal.
-        depth: Level of each leaf's box.
-        box: Index of the box in its level.
+    ``source`` is the viewpoint of each leaf's source, -1 if nothing reaches the goal.
     """
 
     source: Int[np.ndarray, "leaves"]
@@ -215,10 +210,8 @@ class SourceOptions:
         is_own: Whether it is the best source.
         by_all: Whether all of the box sees it.
         error: Mean error over the box, at samples.
-        hidden: Share of the box from which a wall hides it.
-        largest: Proven largest error.
-        integral: Proven integral of the error, as a share of the domain.
-        area: Free area of the box.
+        hidden: Share of the box from which a wall hides the source.
+        largest, integral: Proven largest error, and proven integral of the error, as a share of the domain.
     """
 
     key: Int[np.ndarray, "boxes"]
@@ -276,8 +269,7 @@ def prefer_visible_sources(
 ) -> Int[np.ndarray, "leaves"]:
     """Choose viewpoints for the leaves of a tree; change them where part of a leaf does not see its best source.
 
-    No leaf's proven error exceeds the largest error of all leaves, so the proof of the whole stays valid. The most
-    useful changes come first, as many as fit.
+    No leaf's proven error exceeds the largest of all. The most useful changes come first, as many as fit.
     """
     leaf, view = _changes(tree, options)
 
@@ -315,7 +307,6 @@ def _changes(
 
 
 # 2. The best trees.
-
 
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
@@ -356,8 +347,7 @@ def best_cones(
     Args:
         levels: Initial levels of boxes.
         roots: Box of the first level at which each member starts.
-        sources: Sources of each member, in the order of its viewpoints: for one goal the goal, then the corners; for
-            a family the corners, then the member's goal.
+        sources: Each member's sources, ordered as viewpoints: for one goal the goal first, in a family last.
         domain: The box to cover.
         limits: The limits of each member.
         pattern: Sample pattern for choosing visible sources.
@@ -399,7 +389,6 @@ def best_cones(
 # source serves all of the box. So all goals *start* at boxes with a fixed number of splits. A larger box becomes a
 # leaf only if all start boxes in it have no error and the same source. If sources take most of the bytes (such as 100
 # corners in 1 KB), good trees have fewer and larger leaves; so a single goal starts at the whole domain.
-
 
 _MOST_SPLITS, _LEAVES_A_START = 9, 8.0  # splits of start boxes; expected leaves in each
 _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # estimates for the number of leaves

@@ -49,13 +49,7 @@ Leaf = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """Leaves of cones and their proven bounds.
-
-    Attributes:
-        stored: File form of the leaves, in tree order.
-        bounds: Bounds of the distance minus each leaf's cone.
-        slack: Uncertainty of these bounds.
-    """
+    """Leaves of cones with proven bounds of the distance minus each cone; ``slack`` is their uncertainty."""
 
     domain: Box
     tree: Tree
@@ -136,10 +130,7 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a triangle's source whose cone reaches down to the leaf's distances somewhere.
-
-        The leaf's proven upper bound plus its change (``grown``) limits these distances.
-        """
+        """Find pairs of a leaf and a triangle's source whose cone comes as low as distances in the leaf may be."""
         first = np.searchsorted(
             pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
         )  # first pair of each triangle
@@ -253,11 +244,9 @@ class UpdatedCones(NamedTuple):
     """Leaves after a change of the map, in tree order.
 
     Attributes:
-        stored: File form of the leaves.
         bounds: Bounds of the distance minus each leaf's cone, valid for leaves that were kept.
         rebuilt: Indices of the other leaves.
         visible: Sources of the rebuilt leaves as cells.
-        node_costs: Costs of the nodes of the tree; None if unknown.
     """
 
     tree: Tree
@@ -276,10 +265,7 @@ def updated_cones(
     before: ChangingFn,
     limits: Limits,
 ) -> UpdatedCones:
-    """Keep leaves in which all distances changed by one number, and find the best leaves for the rest.
-
-    ``ValueError`` if ``before`` is visibly not the oracle of the leaves' bounds.
-    """
+    """Keep leaves in which all distances changed by one number, and find the best leaves for the rest."""
     pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # for choosing visible sources
     _require_proof_of(before, leaves)
     node_costs = node_costs or compute_node_costs(leaves, before, limits)
@@ -348,10 +334,9 @@ class ConeSearch:
     """The search for the best leaves of a changed map.
 
     Attributes:
-        leaves: The leaves before the change.
-        nodes: Costs of the nodes of their tree; ``inf`` where distances did not change by one number.
-        is_reopened: Which of the leaves are searched again.
-        roots: Nodes of their tree that boxes replace.
+        nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
+        is_reopened: Which of the old leaves are searched again.
+        roots: Nodes of the old tree that boxes replace.
         levels: Levels of boxes; the first level begins with the roots, in their order.
     """
 
@@ -401,7 +386,6 @@ class ConeSearch:
 
     @property
     def share(self) -> float:
-        """Weight of largest errors in costs."""
         return _share(self.leaves.tree, self.limits)
 
     @property
@@ -409,7 +393,6 @@ class ConeSearch:
         return sum(len(level.key) for level in self.levels)
 
     def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        """Return the sources of nodes and boxes."""
         return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
 
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
@@ -420,7 +403,6 @@ class ConeSearch:
         return fit_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
-        """Return the sources of nodes and boxes, as cells."""
         first, parts = len(self.leaves.tree.child), [self.boxes(node[node < len(self.leaves.tree.child)]).visible]
         places = [np.flatnonzero(node < first)]
         for level in self.levels:
@@ -513,7 +495,6 @@ class ConeSearch:
         return with_views(prefer_visible_sources(tree, source_options(self.levels, [tree], pattern), fits))
 
     def node_costs(self, found: FoundTree) -> NodeCosts:
-        """Return the costs of a tree's nodes."""
         boxes = [level.boxes for level in self.levels]
         integral, error, source = (
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
