@@ -191,7 +191,7 @@ def construct(
 
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
-            Another warning tells if most free points cannot reach the goal.
+        Another warning tells if most free points cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -201,7 +201,7 @@ def construct(
 
     References:
         Section III-B of the paper. ``"smooth"``: Bogner, Fox, Schmit 1965. Partition of cones: Donoho, "CART and
-            best-ortho-basis: a connection", Annals of Statistics 1997.
+        best-ortho-basis: a connection", Annals of Statistics 1997.
     """
     from plr_jax.plr._plr import plr_of_leaves  # imports JAX
 

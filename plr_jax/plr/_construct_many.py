@@ -71,7 +71,7 @@ def construct_many(
 
     Returns:
         The PLRs, in the order of ``oracles``. Query tables are made at the first query. After an interrupt (Ctrl-C),
-            the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
+        the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
 
     Raises:
         ValueError: If ``oracles`` is empty, the checkpoint belongs to other work, or as for :func:`construct`.

@@ -263,7 +263,7 @@ class PriceSearch:
         return Forest(trees)
 
     def _next_price(self, member: int, now: PricedTree) -> tuple[float, float]:
-        """Return a price for a larger tree (slightly beyond nearby limits), and the weight of largest errors."""
+        """Return the next price, expected to give a larger tree, and the weight of largest errors in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -281,7 +281,7 @@ class PriceSearch:
         return drop * now.price, least_share
 
     def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
-        """Return the best tree among the computed boxes, with the size of its file."""
+        """Return a member's best tree at a price, with the size of its file."""
         tree = self._best_tree(member, price, least_share)
         num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
@@ -290,7 +290,7 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
-        """Search prices between a tree that fits and one that does not, for the largest that fits."""
+        """Search for the largest tree that fits, at prices between one that fits and one that does not."""
         largest = fits
         for attempt in range(self._pruning.attempts):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)

@@ -1,4 +1,4 @@
-"""Sources of cells: the points to which shortest paths from a cell go first; halves inherit candidates."""
+"""Compute and cache the sources of cells: the points to which shortest paths from a cell may go first."""
 
 from collections.abc import Iterator
 from typing import TypeAlias
@@ -63,7 +63,7 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield the nodes of a tree level by level, with their sources as cells. ``root`` has the root's."""
+    """Yield a tree's nodes level by level with the sources of their cells, given the root's sources."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible

@@ -46,7 +46,7 @@ Each piece has one cone; its row is the index of its leaf.
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Bound the distance minus the leaf's function of each row over pieces, to within the sources' ``slack``."""
+    """Bound the distance minus a leaf's function over each given piece, up to the sources' ``slack``."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -66,7 +66,7 @@ def bounds_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of leaves: a :class:`LeafModel` (which imports this module), boxes, finite coefficients."""
+    """The functions of leaves: their model (a :class:`LeafModel`), boxes and finite coefficients."""
 
     model: Any
     lo: Float[np.ndarray, "leaves dim"]
@@ -118,7 +118,7 @@ def prove_bounds(
     visible: CellSources,
     sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
 ) -> LeafBounds:
-    """Prove bounds for leaves from their sources as cells.
+    """Prove bounds for all leaves, from the sources of their cells.
 
     ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to these
     errors. Double precision rounds far less than the ``slack`` of the sources, which the bounds include.
@@ -328,7 +328,8 @@ class Certificate:
     ) -> "Certificate":
         """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
 
-        Classes are those of ``before`` if all bounds fit; else their mean width, weighted by ``volume``, is small.
+        The classes of ``before`` are used again if all bounds fit into them. Otherwise new classes minimize the mean
+        width, weighted by ``volume``.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -377,7 +378,7 @@ class Certificate:
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
         """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
 
-        They are those of the narrowest class that contains these errors, or slightly beyond the errors.
+        These bounds exceed the errors slightly, or belong to the narrowest class that contains the errors.
         """
         spare = LEAST_OF_LARGEST * self.scale
         least, most = least - spare, most + spare

@@ -65,7 +65,7 @@ ZERO = 1e-9
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Turn one-step dependencies without cycles into a matrix that expresses every value by free values only."""
+    """Express every value by free values only, from a matrix of one-step dependencies without cycles."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -76,7 +76,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a matrix on the groups that makes all rows vanish, by elimination of each row's finest group."""
+    """Return a matrix for which all rows vanish: each row expresses the finest group in it by other groups."""
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # eliminated group -> combination of others
@@ -239,7 +239,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return the ends of the edge that a split halved at each corner of every leaf, and whether there is one."""
+    """Return, for each leaf corner, the ends of the edge that a split halved there, and whether one did."""
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

@@ -145,7 +145,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make nodes of fitted cells. ``bound`` has the keys of their parents; rules gave ``priority`` and ``axis``."""
+    """Make nodes of fitted cells; ``bound`` has their parents' keys, the rules gave ``priority`` and ``axis``."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -245,7 +245,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
     Returns:
         An axis for each cell. Axes whose halves would be more than 8 times narrower than along another axis are
-            excluded.
+        excluded.
     """
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
@@ -271,7 +271,7 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    """Return the sum of squared residuals of each cell if its halves along each axis were fitted separately."""
+    """Return the sum of squared residuals of each cell if both halves along each axis were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = np.square(residual) @ fit.pattern.weight

@@ -48,13 +48,13 @@ class Pattern:
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Per axis, the designs of separate planes in the lower and upper half of a cell, side by side."""
+        """The designs, for each axis, of separate planes in the lower and upper half of a cell, side by side."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Per axis, an orthonormal basis of the functions that are a plane in each half of a cell.
+        """An orthonormal basis, for each axis, of the functions that are a plane in each half of a cell.
 
         ``np.square(values @ basis).sum()`` is the part of the weighted sum of squared values that two planes explain.
         """
@@ -198,15 +198,17 @@ class CellFit(Rows):
 
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
+        """Indices of the cells with a sample whose weight is not 1."""
         return masked_cells(self.weight)
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Whether so few samples reach the goal that a plane fits them anyway, and residuals hide its error."""
+        """Whether so few samples of a cell reach the goal that any plane fits them, and residuals hide its error."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
+        """Whether each cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
@@ -328,7 +330,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return error weights at folded points: the largest weight of the domain's points that fold there, or 0."""
+    """Return error weights at folded points: the largest weight of all points that fold there; 0 if none do."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

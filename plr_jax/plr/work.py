@@ -98,10 +98,10 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """Return a digest that identifies a computation by release, domain, options and distances at test points.
+    """Return a digest that identifies a computation: release, domain, options, and distances at test points.
 
-    Members of a family have their sources' distances instead. Other machines may round differently, so distances
-    count as 32-bit floats.
+    Members of a family add the distances of their sources, and only the first one is evaluated at test points.
+    Distances count as 32-bit floats, since other machines may round differently.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()

@@ -124,7 +124,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition whose functions are continuous across ``tied`` faces, all between reachable leaves."""
+    """A partition with functions that are continuous across ``tied`` faces, which join reachable leaves only."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -352,8 +352,7 @@ class Continuous(LinearLeafModel):
         ValueError: If the order is neither 0 nor 1.
 
     References:
-        Order 1: Bogner, Fox, Schmit, "The generation of inter-element-compatible stiffness and mass matrices by the
-            use of interpolation formulas", 1965.
+        Order 1 is the rectangular element of Bogner, Fox and Schmit, 1965.
     """
 
     order: int = 0

@@ -1,5 +1,6 @@
 """The file format of cones: a table of sources, and the index of every leaf's source.
 
+A *source* is a point to which the shortest paths from a leaf go straight: a corner of an obstacle, or the goal.
 Most maps are drawn on a lattice, such as a grid or two decimals. Corners on the lattice have coordinates that are
 multiples of one fraction. Other sources, such as a goal, are *fine*: multiples of a power of two, about ``2**-26`` of
 the domain's width. Each source names its *parent*, the next point on its shortest path to the goal. So its offset

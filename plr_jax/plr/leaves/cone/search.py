@@ -47,7 +47,7 @@ class ConeBoxes(Rows):
 
     Attributes:
         negligible: Error up to which a box counts as exact.
-        visible: The boxes' sources as cells.
+        visible: Sources of the boxes.
         source: Index of the best source; -1 if nothing in the box reaches the goal.
         error: Proven bound of the cone's largest error in the box; 0 if negligible.
         integral: Proven bound of the integral of this error over the box, as a share of the domain's area.
@@ -76,7 +76,7 @@ class ConeBoxes(Rows):
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
         """Return the distinct halves of boxes whose keys are not ``known``, their keys, and the keys of all halves.
 
-        A key identifies a box; for a family also how its goals are seen, which needs the sources of the halves.
+        For one goal, a key identifies the box. For a family, it also identifies the sources of the box.
         """
         cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
         lo, hi = cells.grown_boxes(self.domain)
@@ -174,7 +174,7 @@ _KEY_BITS = 40  # bits for the index of a box in its level
 class LeafBoxes:
     """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) and the index of each.
 
-    ``source`` is the viewpoint of each leaf's source, -1 if nothing reaches the goal.
+    ``source`` is the number of each leaf's source among all corners and goals (*viewpoints*), -1 for none.
     """
 
     source: Int[np.ndarray, "leaves"]
@@ -324,7 +324,7 @@ def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Fore
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cones of one goal; ``visible`` has the sources of the grown domain as one cell."""
+    """Find the best cones of one goal; ``visible`` has the sources of the grown domain."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible)
     levels = [BoxLevel.of(box, box.cells.hashes())]
@@ -400,7 +400,7 @@ _ANY, _NONE = -1, -2  # in place of a source: nothing reaches the goal; several 
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """The shared work of a family; a call with oracles of some members returns their leaves.
+    """A builder of cones for members of a family; call it with the oracles of some members.
 
     Attributes:
         shared: Data of the start boxes that all members' oracles share.
@@ -462,7 +462,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) -> FamilyTask:
-    """Prepare the shared work of the family of an oracle."""
+    """Make the task of the family to which the oracle ``first`` belongs."""
     # Estimate the number of leaves that the limits allow.
     room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)

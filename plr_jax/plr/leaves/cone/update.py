@@ -81,7 +81,7 @@ class ConeLeaves:
 
         Returns:
             The change of each leaf, NaN for leaves that do not hold; and the index in ``after`` of each leaf's
-                source, -1 if it is gone.
+            source, -1 if it is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -246,7 +246,7 @@ class UpdatedCones(NamedTuple):
     Attributes:
         bounds: Bounds of the distance minus each leaf's cone, valid for leaves that were kept.
         rebuilt: Indices of the other leaves.
-        visible: Sources of the rebuilt leaves as cells.
+        visible: Sources of the rebuilt leaves' cells.
     """
 
     tree: Tree
@@ -418,7 +418,7 @@ class ConeSearch:
         expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
 
     def needs_no_refinement(self, price: float) -> bool:
-        """Return whether most leaves hold and few of them cost more than the price, so that unused room is right."""
+        """Return whether most leaves hold and few cost more than the price, so that more leaves would not pay."""
         cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
@@ -504,7 +504,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the best tree that fits; None if kept leaves are too many for the limits, or use far too little."""
+    """Return the best tree that fits; None if no price fits, or if the limits allow far more leaves."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
