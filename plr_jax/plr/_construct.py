@@ -149,17 +149,16 @@ def construct(
         plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=4096, certified=True)
         plr(points)  # distances (n,) of points (n, dim)
 
-    Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), exact almost everywhere;
-    ``"continuous"`` for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits
-    may be combined: construction stops at the first one that is reached, without limits at 512 leaves.
+    Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
+    for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits may be combined:
+    construction stops at the first one that is reached, without limits at 512 leaves.
 
     Args:
         distance_fn: Function from points ``(n, dim)`` to distances to the goal ``(n,)``; ``inf`` or a masked entry
             where the goal cannot be reached.
         domain: The box to cover, a ``Box`` or its two corners. Along periodic axes the distance must be periodic.
         leaf: Leaf model: a name from the list below, or an instance such as ``Plane(coefficient_bits=16)``.
-        max_bytes: Largest size of the PLR's file, in bytes. Planes then choose how many bits to store a coefficient
-            with.
+        max_bytes: Largest size of the PLR's file, in bytes. Planes then choose the number of bits per coefficient.
         max_leaves: Largest number of leaves.
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
@@ -176,15 +175,14 @@ def construct(
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
         - ``"continuous"``: values at the leaves' corners, shared across free faces, in up to 6 dimensions. Smaller
           errors per byte than planes, but slower to build and to query.
-        - ``"smooth"``: continuous with a continuous gradient, in 1 or 2 dimensions. Slower than ``"continuous"``.
+        - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). The
           partition is globally optimal at a price per leaf. Needs a distance function in the plane that answers for
           whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
-          certified, else the geometric mean of the mean and the largest error at random points. For other distance
-          functions than ``VisibilityGraph``, without a proof, it is ``"continuous"`` (in more than 6 dimensions
-          ``"plane"``).
+          certified, else the geometric mean of the mean and the largest error at random points. A distance function
+          that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6 dimensions ``"plane"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.

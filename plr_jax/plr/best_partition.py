@@ -67,13 +67,9 @@ def expand(
 ) -> None:
     """Compute the halves of all boxes that cost more than a price, level by level, and add them to ``levels``.
 
-    Args:
-        levels: Levels of boxes.
-        price: Price of a leaf for each box of the first level, inherited by smaller boxes; ``inf`` excludes a box.
-        least_share: Weight of the largest error in the cost of a box.
-        limits: Depth limits.
-        margin: Halves are pruned if they cost more than this multiple of the halves along the other axis.
-        share: Weight of the largest error in that comparison.
+    ``price`` has a price for each box of the first level, which smaller boxes inherit; ``inf`` excludes a box. Halves
+    are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors count by
+    ``least_share`` in costs, by ``share`` in that comparison.
     """
     for depth in range(limits.max_depth):
         if depth == len(levels):
@@ -200,15 +196,10 @@ class MemberBoxes(NamedTuple):
 
 
 class PriceSearch:
-    """The search for the largest best trees within the limits.
+    """The search for the largest best trees of members within the limits of each.
 
-    Args:
-        levels: Initial levels of boxes, extended in place.
-        roots: Box of the first level at which each member starts.
-        limits: The limits of each member.
-        size: Function from a member and its tree to the bytes of its file.
-        num_sources: Number of sources that leaves may use, for a better first price.
-        pruning: Shortcuts of the search.
+    Members start at the boxes ``roots`` of the first level. ``size`` returns the bytes of a member's file with a
+    tree. ``num_sources``, the number of sources that leaves may use, improves the first price.
     """
 
     def __init__(

@@ -200,9 +200,6 @@ MAX_ASPECT_BITS = 3
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return each cell's largest weighted error ``abs(L - V)`` over its samples: best-first refinement.
 
-    Args:
-        fit: Cells with their samples and planes.
-
     Returns:
         A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
     """
@@ -215,9 +212,6 @@ def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     If the center cannot be reached, the cell's largest sample error counts instead, so that an obstacle in the middle
     does not hide a bad fit around it.
 
-    Args:
-        fit: Cells with their samples and planes.
-
     Returns:
         A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
     """
@@ -228,9 +222,6 @@ def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Split every cell that has a reachable sample, breadth first, up to the limits: the paper's simplest rule.
 
-    Args:
-        fit: Cells with their samples and planes.
-
     Returns:
         A priority for each cell: ``inf``, or 0 if no sample is reachable.
     """
@@ -239,9 +230,6 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """Return the axis whose two halves, fitted separately, have the smallest sum of squared errors.
-
-    Args:
-        fit: Cells with their samples and planes.
 
     Returns:
         An axis for each cell. Axes whose halves would be more than 8 times narrower than along another axis are
@@ -260,9 +248,6 @@ def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """Return the axes in turn, as in Section III-B of the paper: ``(n + 1) mod dim`` follows axis ``n``.
-
-    Args:
-        fit: Cells with their samples and planes.
 
     Returns:
         An axis for each cell: its number of splits modulo ``dim``.

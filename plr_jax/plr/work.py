@@ -35,9 +35,7 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 class Checkpoint:
     """A checkpoint file, opened or created; ``records`` has the finished results by key.
 
-    Raises:
-        ValueError: If the file's head is not that of a checkpoint with this ``digest``.
-        OSError: If the file cannot be read or written.
+    ``ValueError`` if the file's head is not that of a checkpoint with this ``digest``.
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):

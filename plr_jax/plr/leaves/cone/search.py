@@ -206,9 +206,8 @@ class SourceOptions:
     Attributes:
         key: Level and index of each box, combined.
         first: Index of each box's first option; most boxes have none.
-        view: Viewpoint of the option's source.
-        is_own: Whether it is the best source.
-        by_all: Whether all of the box sees it.
+        view: Viewpoint of the option's source; ``is_own`` if it is the best source, ``by_all`` if all of the box sees
+            it.
         error: Mean error over the box, at samples.
         hidden: Share of the box from which a wall hides the source.
         largest, integral: Proven largest error, and proven integral of the error, as a share of the domain.
@@ -344,15 +343,8 @@ def best_cones(
 ) -> list[ConeTree]:
     """Find the best leaves of each member, and change sources to visible ones.
 
-    Args:
-        levels: Initial levels of boxes.
-        roots: Box of the first level at which each member starts.
-        sources: Each member's sources, ordered as viewpoints: for one goal the goal first, in a family last.
-        domain: The box to cover.
-        limits: The limits of each member.
-        pattern: Sample pattern for choosing visible sources.
-        run: :func:`grow` or :func:`run_quietly`.
-        pruning: Shortcuts of the search.
+    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` have the order of viewpoints:
+    for one goal the goal first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
@@ -402,10 +394,8 @@ _ANY, _NONE = -1, -2  # in place of a source: nothing reaches the goal; several 
 class FamilyTask:
     """A builder of cones for members of a family; call it with the oracles of some members.
 
-    Attributes:
-        shared: Data of the start boxes that all members' oracles share.
-        upper_cells: Cells of each number of splits, up to the start boxes.
-        halves: Indices of each cell's halves among the cells of one more split, by axis and half.
+    ``shared`` has the data of the start boxes that all oracles share. ``upper_cells`` are the cells of each number of
+    splits, up to the start boxes; ``halves`` index the halves of each cell among the next cells, by axis and half.
     """
 
     shared: Any

@@ -5,10 +5,9 @@ from the leaf can go to first: those whose cones come down to the distance somew
 are intact and changed by one number, no distance increased by more. If no other source of the new map comes down as
 low, no distance increased by less.
 
-Every subtree of a tree that is optimal at a price per leaf is optimal too. So where leaves hold, they stay optimal at
-the same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the
-price rises and leaves that hold are merged. If room is left, the price falls and the leaves with the largest errors
-are searched again.
+Every subtree of a tree that is optimal at a price per leaf is optimal too. So leaves that hold stay optimal at the
+same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the price
+rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
 """
 
 from dataclasses import dataclass
@@ -72,16 +71,9 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Find the leaves in which all distances, and the distance of the leaf's source, changed by one number.
+        """Return the change of the distances in each leaf, if all changed by one number, and each leaf's new source.
 
-        Args:
-            changed: How distances changed.
-            before: All sources before the change.
-            after: All sources after it.
-
-        Returns:
-            The change of each leaf, NaN for leaves that do not hold; and the index in ``after`` of each leaf's
-            source, -1 if it is gone.
+        The change is NaN for leaves that do not hold. The source is an index in ``after``, -1 if the source is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -197,14 +189,9 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """Costs of the nodes of a tree as leaves.
+    """Costs of the nodes of a tree as leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
 
-    Attributes:
-        integral: Proven bound of the integral of each node's error, as a share of the domain's area; ``inf`` if
-            unknown.
-        error: Proven bound of each node's largest error.
-        source: Each node's best source; -1 if nothing reaches the goal.
-        price: Price per leaf at which the tree is optimal.
+    ``price`` is a price per leaf at which the tree is optimal.
     """
 
     integral: Float[np.ndarray, "nodes"]
@@ -241,12 +228,9 @@ def _share(tree: Tree, limits: Limits) -> float:
 
 
 class UpdatedCones(NamedTuple):
-    """Leaves after a change of the map, in tree order.
+    """Leaves after a change of the map, in tree order; those with the indices ``rebuilt`` are new.
 
-    Attributes:
-        bounds: Bounds of the distance minus each leaf's cone, valid for leaves that were kept.
-        rebuilt: Indices of the other leaves.
-        visible: Sources of the rebuilt leaves' cells.
+    ``bounds`` are valid for the other leaves only. ``visible`` has the sources of the rebuilt leaves' cells.
     """
 
     tree: Tree
@@ -312,13 +296,12 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The best tree at a price, among the computed boxes.
+    """The best tree at a price, among the computed boxes, level by level; leaves are in tree order.
 
     Attributes:
-        axes: Split axis of each node, level by level; -1 for a leaf.
-        nodes: Indices of its nodes, level by level: into the nodes of the old tree, followed by all boxes.
-        leaves: Indices of its leaves, in tree order.
-        share: Share of the limits that it uses.
+        axes: Split axis of each node; -1 for a leaf.
+        nodes, leaves: Indices into the nodes of the old tree, followed by all boxes.
+        share: Share of the limits that the tree uses.
     """
 
     price: float
