@@ -140,9 +140,9 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     # 7. Prediction: at each node made by a split, the middle of the halved edge; the mean over the nodes of a group.
     ends, is_made = corner_parents(tree)
     counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
-    master = np.full(num_groups, -1)
-    master[free_dofs] = np.arange(len(free_dofs))
-    row = np.broadcast_to(master[group].reshape(is_made.shape)[..., None], ends.shape)
+    dof_of_group = np.full(num_groups, -1)
+    dof_of_group[free_dofs] = np.arange(len(free_dofs))
+    row = np.broadcast_to(dof_of_group[group].reshape(is_made.shape)[..., None], ends.shape)
     counts &= row >= 0
     weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(free_dofs)), 1)
     mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(free_dofs), num_nodes))

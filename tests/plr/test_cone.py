@@ -257,7 +257,7 @@ def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, mess
 
 @pytest.mark.parametrize(
     ("x", "distance", "message"),
-    [(0.0, 1e39, "scale them down"), (1e19, 0.0, r"Cones need distances and domains within 1e\+18")],
+    [(0.0, 1e39, "Scale them down"), (1e19, 0.0, r"Cones need distances and domains within 1e\+18")],
 )
 def test_what_cannot_be_squared_in_32_bits_is_refused(x, distance, message):
     with pytest.raises(ValueError, match=message):

@@ -161,9 +161,9 @@ def test_cones_and_proofs_are_refused():
     domain = Box((0, 0), (1, 1), periodic=(True, False))
     with pytest.raises(ValueError, match="Use continuous leaves or planes"):
         from_bytes(encode(replace(cones._contents, domain=domain)))
-    with pytest.raises(ValueError, match="the plane, which has no periodic axis"):
+    with pytest.raises(ValueError, match="A proof needs Euclidean distances, without periodic axes"):
         construct(oracle, domain, certified=True)
-    with pytest.raises(ValueError, match="Build the PLR without one"):
+    with pytest.raises(ValueError, match="Build the PLR without a proof"):
         certify(construct(oracle, domain, max_leaves=10), oracle)
 
 

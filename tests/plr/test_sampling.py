@@ -193,7 +193,7 @@ def test_a_function_of_one_point_is_told_that_it_is_called_with_many(one_point):
     with pytest.raises((TypeError, ValueError)) as caught:
         sampling.call_oracle(one_point, np.zeros((5, 2)))
     assert caught.value.__notes__ == [
-        "distance_fn was called with points (n, dim) = (5, 2), and must answer distances (n,)."
+        "distance_fn must return distances (n,) for points (n, dim); it was called with shape (5, 2)."
     ]
     with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with points \(5, dim\) at once"):
         sampling.call_oracle(np.linalg.norm, np.zeros((5, 2)))
