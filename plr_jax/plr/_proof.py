@@ -82,7 +82,6 @@ class BuildInputs:
 
 
 def can_be_updated(contents: DecodedFile) -> bool:
-    """Return whether the leaves are certified cones."""
     return contents.certificate is not None and isinstance(contents.leaf, Cone)
 
 

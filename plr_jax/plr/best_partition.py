@@ -68,8 +68,8 @@ def expand(
     """Compute the halves of all boxes that cost more than a price, level by level, and add them to ``levels``.
 
     ``price`` has a price for each box of the first level, which smaller boxes inherit; ``inf`` excludes a box. Halves
-    are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors count by
-    ``least_share`` in costs, by ``share`` in that comparison.
+    are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors have the weight
+    ``least_share`` in costs, and ``share`` in that comparison.
     """
     for depth in range(limits.max_depth):
         if depth == len(levels):
@@ -95,7 +95,6 @@ def expand(
 
 
 def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
-    """Return which boxes may be halved along each axis."""
     depth = cells.depth.T
     shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
     return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS)
@@ -272,7 +271,6 @@ class PriceSearch:
         return drop * now.price, least_share
 
     def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
-        """Return a member's best tree at a price, with the size of its file."""
         tree = self._best_tree(member, price, least_share)
         num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)

@@ -84,7 +84,6 @@ class LeafFunctions:
         return of_rows
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
-        """Bound the largest error in each leaf; 0 where nothing reaches the goal."""
         lower, upper = bounds_of_pieces(
             visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
         )
@@ -366,7 +365,6 @@ class Certificate:
 
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
-        """Bounds of all classes, the narrowest first."""
         bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 

@@ -52,8 +52,6 @@ def overlap(
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    """Return all pairs of leaves of two trees over one domain whose interiors overlap."""
-
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 

@@ -123,7 +123,6 @@ class Nodes(Rows):
         return (len(self.key) + 1) // 2
 
     def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the tree whose inner nodes are ``splits``."""
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -171,7 +170,6 @@ def is_within_depth(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits
 
 
 def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
-    """Raise ``ValueError`` if ``should_split`` or ``split`` returned a wrong shape or value."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(
@@ -284,7 +282,7 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """How a model stores independent leaves: bits to choose from, size of the file, rounding error.
+    """A storage format of independent leaves: the bits to choose from, the size of the file, the rounding error.
 
     ``size`` and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among them, and
     bits.

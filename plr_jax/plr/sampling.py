@@ -231,7 +231,6 @@ class Sampler:
     memory: CellMemory | None = None
 
     def __call__(self, cells: Cells) -> CellFit:
-        """Sample the distance in every cell and fit a plane to each (Section III-A of the paper)."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         if pattern.reaches_beyond:

@@ -185,7 +185,6 @@ class BuildResults:
             self._checkpoint.finish()
 
     def _build_by(self, pool: Executor, chunks: list[Chunk], progress: tqdm) -> list[Chunk]:
-        """Compute chunks with a pool, and return those that are left if the pool breaks."""
         futures: dict[Future[list[bytes]], Chunk] = {}
         try:
             with suppress(BrokenExecutor):

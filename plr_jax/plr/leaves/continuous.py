@@ -78,7 +78,7 @@ _INSET = 0.998  # keeps test points off the ends of a face, which other faces sh
 
 
 class FaceTests:
-    """A cached test of which faces are free: at one of its points, the goal can be reached from both sides."""
+    """A cached test of faces; a face is free if the goal can be reached from both sides of one of its points."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -151,7 +151,6 @@ class StoredValues:
 
     @staticmethod
     def quantize(partition: TiedPartition, values: Float[np.ndarray, "free_dofs"], step: float) -> "StoredValues":
-        """Round values to multiples of a step; the offset and the step are rounded to 32-bit floats."""
         if np.abs(values).max(initial=0.0) > LARGEST:
             raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
         offset, step = float(np.float32(values.mean())), float(np.float32(step))
@@ -161,7 +160,9 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values >= 0 at leaf corners, without getting negative; hanging corners follow from the others."""
+        """Round nonnegative values at leaf corners; results stay nonnegative, values at hanging corners are
+        ignored.
+        """
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -203,7 +204,6 @@ def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) 
 
 
 def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
-    """Return the range of each level; values of one level are predicted from earlier levels only."""
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
@@ -267,7 +267,6 @@ class _Rounds:
                 return None
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
-        """Choose the leaves to split in this round, and their axes."""
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
@@ -341,7 +340,7 @@ def fit_values(
 class Continuous(LinearLeafModel):
     """A leaf model without jumps across free faces: ``"continuous"`` or ``"smooth"`` leaves.
 
-    A face is free if from one of its points the goal can be reached on both sides; functions may jump across walls.
+    A face is free if the goal can be reached from both sides of one of its points; functions may jump across walls.
     Coefficients are the values at a leaf's corners, for order 1 also the derivatives there.
 
     Args:
@@ -430,7 +429,6 @@ class Continuous(LinearLeafModel):
     def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Bound the rounding of the local coordinates, and of Horner's rule."""
         finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
         powers = np.abs(finite @ monomials(self.order, cells.dim))
         highest = POWERS[self.order]

@@ -68,7 +68,6 @@ class StoredPlanes:
         return widths
 
     def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return center values (``inf`` for unreachable leaves) and half-differences, in units of distance."""
         if self.bits == FLOAT_BITS:
             return floats_of_bits(self.center), floats_of_bits(self.half)
         center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
@@ -145,7 +144,6 @@ def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> Stored
 
 
 def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
-    """Return the number of bits that :func:`write_planes` appends."""
     stored = ~planes.unreachable
     bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
     for axis, widths in enumerate(planes.widths(depth)):
@@ -266,7 +264,6 @@ class Plane(LinearLeafModel):
     def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Bound the rounding of parameters, point, differences, products and sums."""
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))

@@ -220,7 +220,6 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> 
 
 
 def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
-    """Return the domain's lower corner in steps, from which coordinates are counted."""
     if np.abs(steps).max() > _FARTHEST:
         raise ValueError("it states coordinates in steps that are too small for its domain")
     return np.rint(steps).astype(np.int64)
@@ -260,7 +259,6 @@ class ConeFiles:
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
 
     def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
-        """Encode the leaves, and return the bits of the table of sources."""
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]

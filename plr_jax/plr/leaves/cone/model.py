@@ -46,7 +46,6 @@ class Cone(LeafModel):
         return num_leaves // 2 + 256  # the constant is for some tens of sources
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones]:
-        """Find the best partition for a distance function that answers for whole cells."""
         _require_euclidean(sampler.domain)
         if sampler.memory is None:
             raise ValueError(
@@ -104,7 +103,6 @@ class Cone(LeafModel):
     def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Bound the rounding of parameters, point, differences, squares, sums and root, and of underflow."""
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         along = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
         length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)

@@ -126,7 +126,7 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
-    """Return the source of boxes that all see it and use no other source; -1 for other boxes."""
+    """Return each box's source if all of the box sees it and uses no other source; -1 for other boxes."""
     only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
     is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # one pair for each piece, or none
     is_box = is_box[np.diff(first)[is_box] > 0]

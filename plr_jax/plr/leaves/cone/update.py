@@ -228,9 +228,9 @@ def _share(tree: Tree, limits: Limits) -> float:
 
 
 class UpdatedCones(NamedTuple):
-    """Leaves after a change of the map, in tree order; those with the indices ``rebuilt`` are new.
+    """Leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
 
-    ``bounds`` are valid for the other leaves only. ``visible`` has the sources of the rebuilt leaves' cells.
+    ``bounds`` are valid for kept leaves only. ``visible`` has the sources of the new leaves' cells.
     """
 
     tree: Tree
@@ -379,7 +379,6 @@ class ConeSearch:
         return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
 
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
-        """Make boxes of nodes of the old tree."""
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
         negligible = max(self.limits.tolerance, query_resolution(self.oracle.sources.distances))
@@ -426,7 +425,6 @@ class ConeSearch:
             integral[split[sought]] = np.inf
 
     def best(self, price: float) -> FoundTree:
-        """Return the best tree at a price, among kept nodes and computed boxes."""
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
         cost = self.nodes.integral + self.share * self.nodes.error + price
         total = np.where(np.isfinite(cost), cost, 0.0)
@@ -515,6 +513,5 @@ def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
 
 
 def _price_between(fits: FoundTree, beyond: FoundTree) -> float:
-    """Interpolate a price at which a tree should just fit."""
     share = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
     return fits.price * (beyond.price / fits.price) ** float(np.clip(share, 0.05, 0.95))
