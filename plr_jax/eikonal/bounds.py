@@ -295,7 +295,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
     step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
     partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
-    stored = StoredValues.of_corners(partition, values, step)
+    stored = StoredValues.quantize_corners(partition, values, step)
     contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
@@ -357,7 +357,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     changes = np.sum(beside * across, axis=1) * np.prod(1 + 2 * beside, axis=1)
     if isinstance(field.space, VoxelSpace) and field.program.costs.cost_map is None:
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
-    rounding = contents.leaf.rounding(contents.domain, cells, coefficients) + changes
+    rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
     return replace(contents, certificate=certificate)
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.faces import eliminated, face_points, resolve
+from plr_jax.plr.faces import eliminate_constraints, face_points, resolve_constraints
 
 # Weights a node, at most, in the equations of nodes that hang on several cells.
 _MOST_WEIGHTS_OF_NODE = 2**8
@@ -139,7 +139,9 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     where = np.repeat(of_hanging, size), group[on_cell[first, None] * size + np.arange(size)].ravel()
     is_free = np.ones(num_groups)
     is_free[of_hanging] = 0
-    resolved = resolve(csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free)
+    resolved = resolve_constraints(
+        csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free
+    )
     # 3. A node may hang on two cells of which neither implies the other: their polynomials must agree there.
     again = np.setdiff1d(np.arange(len(hanging)), first)
     if mesh.dim > 2 and len(again) + crossing.shape[1]:
@@ -151,7 +153,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         depth = np.zeros(num_groups, np.int64)
         np.maximum.at(depth, group, np.repeat(mesh.cells.depth.sum(axis=1), size))
         rows = csr_array(change @ of_group @ resolved)
-        resolved = csr_array(resolved @ eliminated(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
+        resolved = csr_array(resolved @ eliminate_constraints(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
     # 4. The degrees of freedom are the free groups that have a node in an open cell.
     of_open = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
     node_of = np.full(num_groups, -1)

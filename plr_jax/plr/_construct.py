@@ -1,4 +1,4 @@
-"""Building a PLR: Algorithm 1 of the paper, for any leaf model; and proving the error of one that exists."""
+"""Build PLRs with :func:`construct` (Algorithm 1 of the paper), and prove error bounds with :func:`certify`."""
 
 import math
 import os
@@ -51,15 +51,13 @@ from plr_jax.plr.work import Checkpoint, ParallelOracle, digest_of
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
 
-# A cell in which few samples reach the goal is sampled again with this many times as many.
-_DENSE_FACTOR = 8
+_DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
-# Random points of the domain that tell how much of free space reaches the goal.
-_NUM_ADVICE_POINTS = 1000
+_NUM_ADVICE_POINTS = 1000  # random points that show which share of free space reaches the goal
 BEST = "best"
 _MOST_TIED_AXES = 6
-# Cones are tried if all corners take at most this many times the budget, and alone if they take at most this share of
-# it. On random maps of 10 to 80 blocked cells, cones erred less there on average and at most, or by far on average.
+# leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and tries nothing else if they
+# take at most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
 _CROWDED, _ROOMY = 4, 0.5
 _BYTES_A_SOURCE = 7
 _ERROR_POINTS = 4096
@@ -69,31 +67,31 @@ _ERROR_POINTS = 4096
 class BuildOptions:
     """Options of :func:`construct` that few users need: rules of Algorithm 1, samples, workers and a checkpoint.
 
-    The paper's own configuration is ``BuildOptions(should_split=maximum_depth, split=cyclic_axis)`` (or
-    ``should_split=center_error`` with a tolerance) and ``max_depth=9``.
+    The paper's own configuration is ``BuildOptions(should_split=maximum_depth, split=cyclic_axis)`` with
+    ``max_depth=9``, or ``should_split=center_error`` with a tolerance.
 
     Args:
-        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Leaf models
-            that share values between leaves ignore it.
-        should_split: Function of a ``CellFit`` that gives a priority a cell: ``largest_error``, ``center_error``,
+        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Continuous,
+            smooth and cone leaves ignore it.
+        should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
-        split: Function of a ``CellFit`` that gives the axis along which to halve each cell: ``best_axis``,
-            ``cyclic_axis`` or your own.
-        num_samples: Samples of a cell, at its center, inside and on its faces, at most 65,536. None: 192 for planes,
-            96 for other leaves. Planes need at least ``dim + 1``, other leaves ``2**dim + 1``; take several times as
-            many.
-        margin: How far samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin averages the
-            noise of an oracle such as a roadmap.
-        weight_fn: Weight of the error at each of a batch of points, finite and >= 0. None: weight 1 everywhere.
-        executor: ``concurrent.futures.Executor`` (threads, processes, a cluster) that calls a slow distance function
-            for 1,024 points at a time. Processes need a picklable distance function. The PLR does not depend on the
-            number of workers. None: this process.
-        checkpoint: Path of a file that keeps answers of the distance function, 8 bytes each. When ``construct`` is
-            called again with the same arguments, even after the process was killed, only missing answers are
-            computed. The distance function is recognized by its answers at 256 points. None: no file.
+        split: Function from a ``CellFit`` to the axis along which to halve each cell: ``best_axis``, ``cyclic_axis``
+            or your own.
+        num_samples: Samples in each cell (center, inside and faces), at most 65,536. None: 192 for planes, 96 for
+            other leaves. Planes need at least ``dim + 1``, other leaves ``2**dim + 1``; take several times as many.
+        margin: Distance by which samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin
+            averages out the noise of an oracle such as a roadmap.
+        weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1
+            everywhere.
+        executor: ``concurrent.futures.Executor`` (threads, processes, a cluster) that evaluates a slow distance
+            function on batches of 1,024 points. Processes need a picklable distance function. The PLR does not depend
+            on the number of workers. None: this process.
+        checkpoint: Path of a file that keeps all answers of the distance function, 8 bytes each. If the process is
+            killed, call ``construct`` again with the same arguments: only missing answers are computed. The file is
+            refused if the distance function answers differently at 256 test points. None: no file.
 
     Raises:
-        ValueError: If an option is of another kind or out of its range.
+        ValueError: If an option has a wrong type or is out of range.
     """
 
     compute_coefficients: FitRule = least_squares
@@ -121,7 +119,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """The options as text that is the same in every process, by which checkpoints are told apart."""
+        """The options as text that identifies them in a checkpoint, the same in every process."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -143,62 +141,67 @@ def construct(
     seed: int = 0,
     options: BuildOptions = DEFAULT_OPTIONS,
 ) -> "PLR":
-    """Build a PLR of a distance function: Algorithm 1 of the paper.
+    """Build a PLR, a compact approximation of a distance function in a box (Algorithm 1 of the paper).
 
-    Most calls give a budget, ``max_bytes``, and a leaf. Use ``leaf="cone"`` for distances among polygons, such as
-    ``VisibilityGraph``, and add ``certified=True`` for proven bounds. Use ``"plane"``, the paper's leaf, or
-    ``"continuous"`` for any other distance function. Limits may be combined; construction stops at the first one
-    that is reached. Without limits it stops at 512 leaves.
+    The common call names a leaf model and a budget in bytes:
+
+        oracle = plr_jax.VisibilityGraph(workspace, goal)
+        plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=4096, certified=True)
+        plr(points)  # distances (n,) of points (n, dim)
+
+    Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
+    for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits may be combined:
+    construction stops at the first one that is reached, without limits at 512 leaves.
 
     Args:
-        distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` (or a masked entry) where the
-            goal cannot be reached.
+        distance_fn: Function from points ``(n, dim)`` to distances to the goal ``(n,)``; ``inf`` or a masked entry
+            where the goal cannot be reached.
         domain: The box to cover, a ``Box`` or its two corners. Along periodic axes the distance must be periodic.
-        leaf: Leaf model: its name, as listed below, or an instance such as ``Plane(coefficient_bits=16)``.
-        max_bytes: Largest size of the file. Planes then get as few bits as serve the error best.
+        leaf: Leaf model: a name from the list below, or an instance such as ``Plane(coefficient_bits=16)``.
+        max_bytes: Largest size of the PLR's file, in bytes. Planes then choose the number of bits per coefficient.
         max_leaves: Largest number of leaves.
-        max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit it as well:
-            in the plane to 7 (2 KB) to 14 halvings along an axis, in ``dim`` > 2 dimensions to ``28 // dim``.
-        tolerance: Cells with at most this largest sample error are not split, in units of distance. For cones and
-            certified planes it is the proven error.
-        certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` over all points that reach the goal;
-            ``"leaves"`` keeps bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
+        max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
+            along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
+            ``28 // dim``.
+        tolerance: Error, in units of distance, up to which a cell is not split: its largest error at samples, for
+            cones and certified planes its proven error.
+        certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
+            ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
             cells, such as ``VisibilityGraph``; see :func:`certify`.
         seed: Seed of the samples. The same seed gives the same PLR.
         options: Rules of fitting and splitting, samples, workers and a checkpoint: see :class:`BuildOptions`.
 
     Leaf models:
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
-        - ``"continuous"``: values at the leaves' corners, shared across free faces; in up to 6 dimensions.
-        - ``"smooth"``: a continuous gradient as well, in 1 or 2 dimensions. Both err less a byte than planes, and
-          take longer to build and to query.
-        - ``"cone"``: the distance by way of one *source*, a corner of an obstacle. Exact except where the next corner
-          changes, if the budget has room for the corners (about 7 bytes each). The partition is the best at a price a
-          leaf. Needs a distance function that answers for whole cells, in the plane.
-        - ``"best"``: builds several models and keeps the one that errs least: by the largest proven error, without a
-          proof by the mean and the largest error at random points, multiplied. If the distance function answers for
-          whole cells, it builds cones alone where all corners take at most half of ``max_bytes``, no cones where they
-          take over four times as much, and between these cones and other leaves: all kinds with a proof, else
-          continuous and smooth ones. Without a choice leaves are continuous, in more than 6 dimensions planes.
+        - ``"continuous"``: values at the leaves' corners, shared across free faces, in up to 6 dimensions. Smaller
+          errors per byte than planes, but slower to build and to query.
+        - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
+        - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
+          the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). The
+          partition is globally optimal at a price per leaf. Needs a distance function in the plane that answers for
+          whole cells.
+        - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
+          certified, else the geometric mean of the mean and the largest error at random points. A distance function
+          that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6 dimensions ``"plane"``.
 
-    A distance function that states ``symmetries``, as ``ReedsShepp`` does, is *folded*: points are mirrored into
-    ``folded_domain``, and only that box is stored. Cones and certified PLRs are not folded.
+    A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
+    ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
 
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
-        Another warning says if most free points do not reach the goal.
+        Another warning tells if most free points cannot reach the goal.
 
     Raises:
-        ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof is
-            not available for this distance function or domain, ``distance_fn`` returns NaN or a wrong shape, no
-            sample reaches the goal, or the checkpoint belongs to other work.
+        ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
+            not support this distance function or domain, ``distance_fn`` returns NaN or a wrong shape, no sample
+            reaches the goal, or the checkpoint belongs to other work.
         OSError: If the checkpoint cannot be read or written.
 
     References:
-        Section III-B of the paper. ``"smooth"``: Bogner, Fox, Schmit 1965. Best partition: Donoho, "CART and
+        Section III-B of the paper. ``"smooth"``: Bogner, Fox, Schmit 1965. Partition of cones: Donoho, "CART and
         best-ortho-basis: a connection", Annals of Statistics 1997.
     """
-    from plr_jax.plr._plr import plr_of_leaves  # the only part that imports JAX
+    from plr_jax.plr._plr import plr_of_leaves  # imports JAX
 
     domain, proof = Box.of(domain), proof_of(certified)
     require_function("distance_fn", distance_fn)
@@ -212,13 +215,13 @@ def construct(
     if leaf == BEST:
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        contents, is_interrupted = best_leaves(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
+        contents, is_interrupted = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
         if is_interrupted:
             message = "Interrupted: the PLR is the best one built so far."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     else:
         contents = build(leaf, distance_fn)
-    if isinstance(distance_fn, FreeSpaceFn) and (advice := _advice(distance_fn, domain)):
+    if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
         warnings.warn(advice, stacklevel=2)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
@@ -234,10 +237,10 @@ def _build_leaves(
     seed: int,
     options: BuildOptions,
 ) -> DecodedFile:
-    """Build leaves of one model, with their proof, as a file holds them."""
-    # 1. Check what is asked for.
+    """Build leaves of one model, with their proof if asked for."""
+    # 1. Check the arguments.
     model.check_dim(domain.dim)
-    table_corners(domain)  # or a query could not hold them
+    table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)
     answers_for_cells = isinstance(distance_fn, CellwiseFn)
     if proof is not Proof.NONE:
@@ -247,19 +250,19 @@ def _build_leaves(
         folding = folding_of(distance_fn, domain)
     checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
-    require_integer("num_samples", num_samples, model.least_samples(domain.dim))
+    require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
-    # 2. Wrap the distance function: cells it answers for, workers and a checkpoint, folded points.
+    # 2. Wrap the distance function: cell sources, workers and a checkpoint, folded points.
     memory = CellMemory(distance_fn, domain) if answers_for_cells and domain.dim == 2 else None
     weight_fn = options.weight_fn
     if options.executor is not None or options.checkpoint is not None:
-        kept = None
+        checkpoint = None
         if options.checkpoint is not None:
-            kept = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
-        distance_fn = ParallelOracle(distance_fn, options.executor, kept)
+            checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
+        distance_fn = ParallelOracle(distance_fn, options.executor, checkpoint)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
-        distance_fn = partial(_of_folded, distance_fn, folding)
+        distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
     pattern, dense = (
@@ -270,27 +273,26 @@ def _build_leaves(
         distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, options.compute_coefficients, memory
     )
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
-    model = leaf_model(model.name)  # a file knows no options of a model
+    model = leaf_model(model.name)  # files store no options of a model
     contents = DecodedFile(domain, model, tree, stored, folding=folding)
 
-    # 4. Prove its error.
+    # 4. Prove its error bounds.
     if proof is not Proof.NONE and memory is not None:
         root = memory.sources(Cells.root(domain.dim))
         try:
             contents = replace(contents, certificate=certificate_of(contents, root, proof))
         except KeyboardInterrupt:
-            message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
+            message = "Interrupted during the proof: the PLR is complete, but has no certificate."
             warnings.warn(message, ConstructionInterrupted, stacklevel=4)
     return contents
 
 
-def _of_folded(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
-    """Distances of points that fold to given ones."""
+def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
     return call_oracle(distance_fn, folding.unfolded(z))
 
 
 def proof_of(certified: bool | str) -> Proof:
-    """Return the kind of proof that ``certified`` asks for."""
+    """Return the kind of proof that the argument ``certified`` asks for."""
     if isinstance(certified, str) and certified == "leaves":
         return Proof.LEAVES
     if not isinstance(certified, bool | np.bool):
@@ -298,28 +300,28 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def _advice(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
     """Return a warning if most free points do not reach the goal."""
     x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
     try:
         x = x[np.asarray(distance_fn.is_free(x))]
         cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
-    except KeyboardInterrupt:  # the PLR is complete
+    except KeyboardInterrupt:  # the PLR is complete without this warning
         return None
     if 2 * cut_off <= len(x):
         return None
     return (
-        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. Is "
-        "it in the part of free space that you mean? What the PLR answers in the others means nothing."
+        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. "
+        "Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
     )
 
 
-# ``leaf="best"``: build the leaf models that may serve a distance function, and keep the one that errs least.
+# leaf="best": build each leaf model that suits the distance function, and keep the one with the smallest error.
 
 
 @dataclass(frozen=True, eq=False)
-class _OracleOfBox:
-    """An oracle that finds what it says of a box, as one cell, once for all leaf models that are tried."""
+class _BoxOracle:
+    """An oracle that computes the sources of the grown domain once, for all leaf models to try."""
 
     oracle: CellwiseFn
     box: Box
@@ -339,7 +341,7 @@ class _OracleOfBox:
         return np.ma.filled(self.oracle(x), np.inf)
 
 
-def best_leaves(
+def build_best_model(
     build: Callable[[str, DistanceFn], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
@@ -348,28 +350,14 @@ def best_leaves(
     only_bytes: bool,
     seed: int,
 ) -> tuple[DecodedFile, bool]:
-    """Build leaves of all models that may serve, and return those that err least.
+    """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
 
-    Args:
-        build: Function of a model's name and an oracle that builds leaves. Models for which it raises ``ValueError``
-            are left out.
-        distance_fn: The distance function.
-        domain: The box to cover.
-        proof: Kind of proof. With a proof the largest proven errors are compared, else the geometric means of the
-            mean and the largest error at random points.
-        max_bytes: The budget, as the caller gave it.
-        only_bytes: Whether neither the number of leaves nor the depth is limited, and no rules are the caller's own:
-            then cones alone may be tried.
-        seed: Seed of the random points.
-
-    Returns:
-        The leaves, and whether an interrupt (Ctrl-C) ended the search early.
-
-    Raises:
-        ValueError: If no model can be built.
+    A model for which ``build`` raises ``ValueError`` is skipped. Models are compared by their largest proven error,
+    without a proof by :func:`_sampled_error`. ``only_bytes`` tells that only ``max_bytes`` limits the size, and all
+    rules are defaults.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
-        distance_fn = _OracleOfBox(distance_fn, grown_domain(domain))
+        distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
     names = _models_to_try(distance_fn, domain, proof, max_bytes, only_bytes)
     best, least, refused = None, math.inf, []
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
@@ -380,7 +368,7 @@ def best_leaves(
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", ConstructionInterrupted)
                     contents = build(name, distance_fn)
-            except ValueError as refusal:  # for example, a budget that is too small for one leaf of this model
+            except ValueError as refusal:  # for example, a budget too small for one leaf
                 refused.append(refusal)
                 continue
             except KeyboardInterrupt:
@@ -411,18 +399,16 @@ def best_leaves(
 def _models_to_try(
     distance_fn: DistanceFn, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
-    """Return names of leaf models: cones alone where all corners have much room, all but cones where few have room.
+    """Return the names of the leaf models to compare.
 
-    On all maps of the experiments cones with that room err ten to a thousand times less on average than the others.
-    With less room, they may err far more than the others in few leaves. Of the other models all are tried for the
-    least proven error. Without a proof planes are not, which err more than continuous leaves on average, and smooth
-    leaves, which take longer to build and to query, only where cones are.
+    On all maps of the experiments, cones whose corners take at most ``_ROOMY`` of ``max_bytes`` had 10 to 1,000 times
+    smaller mean errors. Above ``_CROWDED``, a few cones could err far more than other leaves.
     """
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
-    if not isinstance(distance_fn, _OracleOfBox):
+    if not isinstance(distance_fn, _BoxOracle):
         return others
     corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
     share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
@@ -442,40 +428,36 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
     return float(np.sqrt(errors.mean() * errors.max())) if len(errors) else 0.0
 
 
-# Proving how far a PLR that exists can be from the distance function that it stands for.
-
-
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
-    """Prove bounds of the distance for a PLR that exists.
+    """Prove bounds of the error of an existing PLR.
 
-    Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
-    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this
-    oracle: where that is itself an approximation, as of an inflated workspace, so is the proof. Where free space
-    touches itself in a point, the cell there holds both sides, and the proven error is at least half of the jump.
+    No point is sampled: the oracle tells, for whole cells, which sources some of their points use and which all of
+    their points see. The proof holds for all points of the domain that reach the goal, relative to this oracle: if
+    the oracle approximates, for example by an inflated workspace, that error is not included. Where two parts of free
+    space touch in a point, the cell there covers both, so the proven error is at least half of the jump between them.
 
     Args:
-        plr: The PLR, of any leaf model, in the plane.
-        oracle: The distance function, one that answers for whole cells, as ``VisibilityGraph`` does.
-        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else of a few classes of leaves, in at most a
-            128th of what the leaves take, if that is 10 bytes at least; of smaller PLRs the largest error alone.
+        plr: A PLR in the plane, of any leaf model.
+        oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
+        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds of a few classes of leaves,
+            in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
 
     Returns:
-        The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
+        The same PLR with this proof, in ``max_error`` and ``bounds``, instead of any earlier one.
 
     Raises:
-        ValueError: If it is no PLR in the plane, its domain has a periodic axis or lies so far from the origin that
-            free space is known worse than to a 10,000th of its shorter side, ``leaf_bounds`` is no bool, the oracle
-            does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal: then
-            nothing can be proven.
+        ValueError: If ``plr`` is no PLR in the plane or is folded; its domain is periodic, or too far from the origin
+            for a proof; ``leaf_bounds`` is no bool; the oracle does not answer for cells; or a leaf stores ``inf``
+            although some of its points reach the goal.
     """
-    from plr_jax.plr._plr import PLR, with_certificate  # and JAX, which no proof needs
+    from plr_jax.plr._plr import PLR, with_certificate  # imports JAX
 
     if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
+        raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
     if plr.tables.folding is not None:
         raise ValueError(
-            "Nothing can be proven of a PLR whose points are folded, as by the symmetries of its distance function. "
-            "Build it with certified=True."
+            "plr must not be folded by symmetries of its distance function, got a folded PLR. Build it with "
+            "certified=True."
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
@@ -486,16 +468,16 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
-    """A distance function about which something can be proven; raises ``ValueError`` if it is none."""
+    """Return the oracle if its distances can be proven on this domain; raise ``ValueError`` otherwise."""
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without one, and measure its "
-            "error."
+            f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without a proof and measure "
+            "its error."
         )
     if domain.is_periodic:
         raise ValueError(
-            f"A proof is of Euclidean distances in the plane, which has no periodic axis, got {domain}. Build the "
-            "PLR without one, and measure its error."
+            f"A proof needs Euclidean distances, without periodic axes, got {domain}. Build the PLR without a proof "
+            "and measure its error."
         )
     return oracle

@@ -1,4 +1,4 @@
-"""Building many PLRs: those of one workspace's goals together, all others one by one, on all cores."""
+"""Build many PLRs in parallel with :func:`construct_many`, and cones of several goals in one workspace together."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -23,9 +23,10 @@ from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.sampling import sample_pattern
 from plr_jax.plr.tree import grown_domain
-from plr_jax.plr.work import Checkpoint, Chunk, Done, digest_of
+from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
-_MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
+# Goals that one worker builds together. More goals share more work, but each takes about 10 MB of memory.
+_MEMBERS_AT_ONCE = 64
 
 
 def construct_many(
@@ -41,35 +42,39 @@ def construct_many(
     seed: int = 0,
     options: BuildOptions = DEFAULT_OPTIONS,
 ) -> list[Any]:
-    """Build a PLR of each of many distance functions, for example one for every goal of a fleet.
+    """Build a PLR for each of many distance functions, for example one for every goal of a fleet.
 
-    Cones of goals of one workspace, whose oracles :meth:`VisibilityGraph.with_goal` made of one another, are a family
-    and are built together. Their PLRs err about as much as those that :func:`construct` builds, but are not the same:
-    fewer partitions are tried, and a cell larger than about eight times an average leaf is a leaf only if one source
-    serves all of it. All other PLRs are what :func:`construct` builds, one by one.
+        first = plr_jax.VisibilityGraph(workspace, goals[0])
+        oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
+        plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
+
+    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
+    built together, which is faster. Their errors are about as small as with :func:`construct`, but the PLRs differ:
+    fewer partitions are tried, and a cell larger than about eight average leaves becomes a leaf only if one source
+    serves all of it. All other PLRs are built one by one with :func:`construct`.
 
     Args:
         oracles: The distance functions, of any kind.
-        domain: The box to cover, a ``Box`` or its two corners, the same for all.
-        leaf: As for :func:`construct`, but not ``"best"``.
-        max_bytes: As for :func:`construct`, of each PLR, as are the other limits.
-        max_leaves: Largest number of leaves.
+        domain: The box that all PLRs cover, a ``Box`` or its two corners.
+        leaf: Leaf model, as for :func:`construct`, except ``"best"``.
+        max_bytes: Largest size of each PLR's file, in bytes.
+        max_leaves: Largest number of leaves of each PLR.
         max_depth: Largest number of splits between the root and a leaf.
-        tolerance: Cells of errors up to this are not split.
-        certified: Whether to prove a bound of the largest error of each, as for :func:`construct`.
+        tolerance: Error, in units of distance, up to which a cell is not split.
+        certified: Whether to prove error bounds of each PLR, as for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`; two of them differ. The ``executor`` runs parts of 64 members of a family,
-            or of one PLR each: threads, processes or a cluster's, such as Dask's ``Client.get_executor()``. If a
-            worker dies, threads of this process build what is left. None: threads, one a core. The ``checkpoint``
-            keeps whole PLRs. A call with the same arguments builds what is left, even if the process was killed, and
-            in the end the checkpoint is the same, byte for byte.
+        options: As for :func:`construct`, with two differences. The ``executor`` builds PLRs: batches of 64 members
+            of a family, or one PLR at a time. It may use threads, processes or a cluster, such as Dask's
+            ``Client.get_executor()``; if a worker dies, threads of this process build what is left. None: one thread
+            per core. The ``checkpoint`` stores whole PLRs. After the process was killed, a call with the same
+            arguments builds the missing PLRs, and the final file is the same, byte for byte.
 
     Returns:
-        The PLRs, in the order of the distance functions. Their tables are made when they are first queried. After an
-        interrupt (Ctrl-C), None stands for PLRs that are not done, with a ``ConstructionInterrupted`` warning.
+        The PLRs, in the order of ``oracles``. Query tables are made at the first query. After an interrupt (Ctrl-C),
+        the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If there are no distance functions, the checkpoint is of other work, or as for :func:`construct`.
+        ValueError: If ``oracles`` is empty, the checkpoint belongs to other work, or as for :func:`construct`.
         OSError: If the checkpoint cannot be read or written.
     """
     try:
@@ -77,10 +82,10 @@ def construct_many(
     except TypeError:
         raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
     if not oracles:
-        raise ValueError("construct_many needs one distance function at least, got none.")
+        raise ValueError("oracles must hold at least one distance function, got none.")
     for number, oracle in enumerate(oracles):
         if not callable(oracle):
-            raise ValueError(f"oracles must be functions, that of number {number} is {shortened(oracle)}.")
+            raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
     domain, model, proof = Box.of(domain), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
     executor, checkpoint = options.executor, options.checkpoint
@@ -89,10 +94,10 @@ def construct_many(
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, Cone) and is_plane and is_limited and options == DEFAULT_OPTIONS
-    kept = None
+    checkpoint_file = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
-        kept = Checkpoint(checkpoint, digest_of(oracles, domain, f"{model} {limits} {int(seed)}{rules}"))
+        checkpoint_file = Checkpoint(checkpoint, digest_of(oracles, domain, f"{model} {limits} {int(seed)}{rules}"))
     alone = partial(
         construct,
         domain=domain,
@@ -105,7 +110,7 @@ def construct_many(
         seed=seed,
         options=options,
     )
-    done = Done(len(oracles), kept)
+    done = BuildResults(len(oracles), checkpoint_file)
     families: dict[int, list[int]] = {}
     for number in (number for number, file in enumerate(done.results) if file is None):
         oracle = oracles[number]
@@ -115,9 +120,7 @@ def construct_many(
     for numbers in families.values():
         first = oracles[numbers[0]]
         if as_family and isinstance(first, FamilyFn):
-            pattern = sample_pattern(
-                domain.dim, model.num_samples, 0, int(seed)
-            )  # which only chooses sources in sight
+            pattern = sample_pattern(domain.dim, model.num_samples, 0, int(seed))  # for choosing visible sources
             work = partial(_family_files, family_task(first, domain, limits, pattern), leaf_model(model.name), proof)
             parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
             chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
@@ -135,13 +138,12 @@ def construct_many(
         try:
             done.build(chunks, executor, progress)
         except KeyboardInterrupt:
-            message = f"Interrupted at {done.count} of {len(oracles)} PLRs: None stands for the others."
+            message = f"Interrupted at {done.count} of {len(oracles)} PLRs: the list has None for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
 def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
-    """Files of some members of a family."""
     files = []
     for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
         contents = DecodedFile(task.domain, leaf, tree, stored)

@@ -99,7 +99,9 @@ def counted_from(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.n
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
-    numbers = contents.leaf.numbers(contents.domain, contents.tree.leaves, filled_coefficients(contents), corner)
+    numbers = contents.leaf.leaf_parameters(
+        contents.domain, contents.tree.leaves, filled_coefficients(contents), corner
+    )
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     return domain, numbers
@@ -129,7 +131,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         apart = place[borrower] - place[donor]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
-        coefficients[borrower] = leaf.of_planes(center + sum_of_columns(half * along), half * widths)
+        coefficients[borrower] = leaf.coefficients_of_planes(center + sum_of_columns(half * along), half * widths)
     return coefficients
 
 

@@ -262,7 +262,7 @@ class PLR(FileBacked):
                 )
             origin = BuildInputs(before, self.num_bytes)
         elif before is not None and before is not origin.oracle:
-            origin = replace(origin, oracle=before, bounds=None, priced=None)
+            origin = replace(origin, oracle=before, bounds=None, node_costs=None)
         if max_bytes is not None:
             require_integer("max_bytes", max_bytes, 1)
             origin = replace(origin, max_bytes=int(max_bytes))

@@ -1,4 +1,4 @@
-"""Proofs of leaves, from the sources of their domain, or of some of them alone."""
+"""Prove error bounds of all leaves of a PLR, and update certified cones after a change of the map."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,30 +9,30 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
 from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
-from plr_jax.plr.cell_memory import sources_down
+from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
-from plr_jax.plr.leaves import Cone, ConeLeaves, PricedNodes, updated_cones
+from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
 from plr_jax.plr.leaves.base import check_limits
 
-_COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
+# Largest uncertainty of free space for a proof, in units of the domain's shorter side.
+_COARSEST = 1e-4
 
 
 def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
-    """The proof for leaves, from the sources of their grown domain."""
+    """Prove error bounds of all leaves; ``root`` has the oracle's sources for the grown domain."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
         raise ValueError(
-            f"Nothing is proven of {domain}: its free space is known to {root.slack:.2g} only, above "
-            f"{_COARSEST:g} of the shorter side: it is too far from the origin for its size, too narrow for its "
-            "length, or small beside its workspace. Choose an origin that is near, cut it in parts, or build it "
-            "without a proof."
+            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {root.slack:.2g} in "
+            f"{domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
+            "origin, divide the domain, or build the PLR without a proof."
         )
     coefficients = filled_coefficients(contents)
-    # The sources of all leaves as cells, found down the tree.
+    # The sources of all leaves, found down the tree, then sorted by leaf.
     tree, parts, leaves = contents.tree, [], []
-    for nodes, of_nodes in sources_down(tree, root, domain):
+    for nodes, of_nodes in sources_by_level(tree, root, domain):
         is_leaf = tree.child[nodes] < 0
         parts.append(of_nodes.of_cells(np.flatnonzero(is_leaf)))
         leaves.append(nodes[is_leaf])
@@ -42,12 +42,13 @@ def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Ce
         lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]
         raise ValueError(
-            f"Nothing can be proven: the leaf from {lo[at].tolist()} to {hi[at].tolist()} answers inf, although some "
-            "of its points reach the goal, which no sample met. Build the PLR with certified=True."
+            "A proof needs a finite function in every leaf with points that reach the goal, got inf in the leaf from "
+            f"{lo[at].tolist()} to {hi[at].tolist()}, where no sample met such a point. Build the PLR with "
+            "certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
-    rounding = leaf.rounding(domain, cells, coefficients)
+    rounding = leaf.rounding_bounds(domain, cells, coefficients)
     return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
 
 
@@ -58,22 +59,18 @@ def certificate_of_bounds(
     proof: Proof,
     before: Certificate | None = None,
 ) -> Certificate:
-    """What a file keeps of bounds of leaves, and of what queries round; with the classes before, if these will do."""
+    """Encode bounds of leaves, widened by the rounding of queries; reuse the classes of ``before`` if they fit."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
 
 
 @dataclass(frozen=True, eq=False)
 class BuildInputs:
-    """What a PLR was made of, which its file does not hold.
+    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        oracle: The distance function.
-        max_bytes: The budget; None if there was none.
-        max_leaves: Most leaves, likewise.
-        tolerance: Errors that do not count, likewise.
-        bounds: What is proven of each leaf; None: what the file has of it.
-        priced: What the leaf model knows of the nodes of the tree; None: nothing yet.
+        bounds: Proven bounds of each leaf; None: those of the certificate.
+        node_costs: Costs of the nodes of the tree as leaves; None if unknown.
     """
 
     oracle: DistanceFn
@@ -81,37 +78,39 @@ class BuildInputs:
     max_leaves: int | None = None
     tolerance: int | float | None = None
     bounds: LeafBounds | None = None
-    priced: PricedNodes | None = None
+    node_costs: NodeCosts | None = None
 
 
 def can_be_updated(contents: DecodedFile) -> bool:
-    """Whether they are certified cones."""
     return contents.certificate is not None and isinstance(contents.leaf, Cone)
 
 
 def require_updatable(contents: DecodedFile) -> None:
-    """Raise ``ValueError`` if they are no certified cones."""
     if not can_be_updated(contents):
         not_ = "not " if contents.certificate is None else ""
         raise ValueError(
-            f"Only a PLR of certified cones can be updated, got one of kind {contents.leaf.name!r} that is {not_}"
-            "certified: construct it with leaf='cone' and certified=True."
+            f"Only a PLR of certified cones can be updated, got leaves of kind {contents.leaf.name!r} that are {not_}"
+            "certified. Construct it with leaf='cone' and certified=True."
         )
 
 
 def updated_contents(
     contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
 ) -> tuple[DecodedFile, BuildInputs]:
-    """What :meth:`PLR.updated` makes of leaves, for a file with a label, and what it remembers of them."""
+    """Return the leaves that :meth:`PLR.updated` stores, and the inputs of the next update."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
-    assert certificate is not None and isinstance(model, Cone), "see require_updatable"
+    assert certificate is not None and isinstance(model, Cone), "require_updatable has checked this"
     if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):
         got = f"{shortened(oracle)} and {shortened(before)}"
-        raise ValueError(f"oracle and before must be of a map that changes, two VisibilityGraphs, got {got}.")
+        raise ValueError(
+            f"oracle and before must be VisibilityGraphs of the map after and before its change, got {got}."
+        )
     frame = frame_size(domain)
     of_label, max_bytes = frame_size(domain, label=label) - frame, origin.max_bytes
     if max_bytes is not None and (max_bytes := max_bytes - of_label) < 1:
-        raise ValueError(f"max_bytes={origin.max_bytes} leaves no room beside the label, of {of_label} bytes.")
+        raise ValueError(
+            f"max_bytes={origin.max_bytes} must exceed the label's {of_label} bytes. Use a shorter label."
+        )
     of_origin = origin.max_leaves, max_bytes, origin.tolerance
     limits = check_limits(model, domain.dim, None, *of_origin, certificate.proof, frame)
     bounds, changed = origin.bounds, oracle.changed_since(before)
@@ -120,15 +119,15 @@ def updated_contents(
         bounds = LeafBounds(lower, upper)
     leaves = ConeLeaves(domain, contents.tree, contents.stored, bounds, changed.slack)
     try:
-        found = updated_cones(leaves, origin.priced, changed, oracle, before, limits)
+        found = updated_cones(leaves, origin.node_costs, changed, oracle, before, limits)
     except BudgetTooSmall as error:
         raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
     new = DecodedFile(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
-    rounding, anew = model.rounding(domain, new.tree.leaves, coefficients), found.rebuilt
-    enough = partial(certificate.enough, rounding=rounding[anew])
-    functions = LeafFunctions(model, *new.tree.leaves[anew].boxes(domain), coefficients[anew])
-    proven = prove_bounds(functions, found.visible, enough)
-    bounds.lower[anew], bounds.upper[anew] = proven.lower, proven.upper
+    rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
+    sufficient = partial(certificate.sufficient_bounds, rounding=rounding[rebuilt])
+    functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
+    proven = prove_bounds(functions, found.visible, sufficient)
+    bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
     new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
-    return new, replace(origin, oracle=oracle, bounds=bounds, priced=found.priced)
+    return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)

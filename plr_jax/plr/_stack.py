@@ -165,7 +165,7 @@ class _SameShapeGroup:
         rows, distinct, num_rows = [], [], 0
         for plr, each in zip(plrs, tables, strict=True):
             # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
-            count, numbers = each.leaf.num_numbers(each.dim), np.asarray(each.numbers)
+            count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.numbers)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             key = np.zeros(plr.num_leaves, np.uint64)
             for column in np.ascontiguousarray(of_leaves).view(np.uint32):
@@ -287,7 +287,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             blocks=None,
             pages=None,
             leaf_of_slot=jnp.zeros(0, np.uint16),
-            numbers=jnp.zeros((each.leaf.num_numbers(each.dim), 0), np.float32),
+            numbers=jnp.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
         )
         for each in tables
     ]

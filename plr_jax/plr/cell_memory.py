@@ -1,4 +1,4 @@
-"""What an oracle says of cells, remembered: a cell inherits from the one that it is a half of."""
+"""Compute and cache the sources of cells: the points to which shortest paths from a cell may go first."""
 
 from collections.abc import Iterator
 from typing import TypeAlias
@@ -12,11 +12,12 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree, grown_domain
 
 _Key: TypeAlias = tuple[int, ...]
-_POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 16, 1 << 19  # of a piece and a point, of a point and a source
+_POINTS_AT_ONCE = 1 << 16  # pairs of a piece and a point that are tested at once
+_PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source
 
 
 class CellMemory:
-    """The sources of the cells of a growing partition, in the plane."""
+    """A cache of the sources of a growing partition's cells, in the plane."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
@@ -24,7 +25,7 @@ class CellMemory:
         self._place: dict[_Key, tuple[int, int]] = {_keys(Cells.root(2))[0]: (0, 0)}
 
     def sources(self, cells: Cells) -> CellSources:
-        """Those of some cells, each a half of one that was asked for before, or one of those itself."""
+        """Return the sources of cells, each of which is known already or is a half of a known cell."""
         keys = _keys(cells)
         new = [i for i, key in enumerate(keys) if key not in self._place]
         if new:
@@ -32,7 +33,6 @@ class CellMemory:
         return self._recall(keys)
 
     def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-        """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
         return distances_in_cells(self.sources(cells), x)
 
     def _remember(self, cells: Cells, keys: list[_Key]) -> None:
@@ -60,10 +60,10 @@ class CellMemory:
         return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
 
 
-def sources_down(
+def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """The nodes of a tree, level by level from that of the grown domain, and their sources as cells."""
+    """Yield a tree's nodes level by level with the sources of their cells, given the root's sources."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible
@@ -75,7 +75,7 @@ def sources_down(
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-    """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
+    """Return exact distances at points of cells; ``inf`` where a point is not free or cannot reach the goal."""
     found = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
     held = [np.zeros((2, 0), int)]
@@ -84,7 +84,7 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         held.append(np.stack([piece[row], column]))
     piece, column = np.concatenate(held, axis=1)
-    # Lower distances to those by way of the sources, of a piece that holds each point, that they see.
+    # For each piece that contains a point: the shortest path by way of a source that the point sees.
     for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
         pair, row = take_ragged(visible.first_pair, piece[some])
         source, sources = visible.source[pair], visible.sources

@@ -1,19 +1,19 @@
-"""Proofs: bounds of how far the distance is above and below what each leaf holds, and how a file keeps them.
+"""Certificates: proven bounds of the distance minus the function that each leaf stores, and their file format.
 
-Bounds are found by halving pieces of leaves. Bounds of a piece hold for all of it, and the error at its center is one
-that is met. Pieces whose bounds are not much beyond errors that are met are done; the others are halved, which brings
-both together. Where the distance at a center is known as a bound alone, bounds may be less tight.
+Bounds come from branch and bound. The bounds of a piece of a leaf hold for all of it, and the error at its center is
+attained. Pieces whose bounds are close to attained errors are finished; the others are halved, which tightens both.
+Where only a bound of the distance at a center is known, bounds may be less tight.
 
-A file keeps them as bits, after the leaves:
+A file stores a certificate as bits, after the leaves:
 
-    largest error, a 32-bit float, negative where classes of leaves have bounds, which then follow
-    classes: their number less one, in 4 bits, and codes of their lower bounds, then of their upper ones, 8 bits each;
-      for every class but the last, the largest first, the set of those leaves, of all that are in no class before,
-      that are not in this one either (see ``coding.py``)
-    where each leaf has bounds: codes of all lower ones, then of all upper ones, 8 bits each
+    largest error, a 32-bit float; negative if bounds of classes of leaves follow
+    classes: number of classes less one, 4 bits; codes of their lower, then of their upper bounds, 8 bits each;
+      for every class but the last, in order of size: the set of leaves, of those not in an earlier class, that are
+      not in this class (sets as in ``coding.py``)
+    bounds of every leaf: codes of all lower, then of all upper bounds, 8 bits each
 
-A bound is ``scale * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and
-the smallest is 4e-7 of the largest. All of them are rounded away from zero.
+A bound is ``scale * 2**((code - 255) / 12)``, below or above the leaf's value: one code more is 6 % more, and the
+smallest bound is 4e-7 of the largest. All bounds are rounded away from zero.
 """
 
 from collections.abc import Callable
@@ -30,27 +30,23 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-# Bounds of how much the distance is above what a leaf holds, over all free points of a piece of it.
+# Bounds over a piece of a leaf, a convex part of its free space.
 #
-# The distance is nowhere above the cone of a source that all of the piece sees, and nowhere below the least cone of
-# the sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and
-# the way there, which is free.
+# The distance is at most the cone of a source that all of the piece sees, and at least the smallest cone of all
+# sources that some of its points may use. If no source is seen by all of the piece, the upper bound is the distance
+# of the piece's center plus the straight path to it, which is free.
 
+ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+"""Function from pieces, apexes, offsets and rows to the smallest and largest value of cone minus leaf function.
 
-ConesAbove: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""Smallest and largest value, over pieces, of cones minus what leaves hold.
-
-Its arguments are the pieces, apexes and offsets of cones, one a piece, and the row of the leaf that each piece is of.
+Each piece has one cone; its row is the index of its leaf.
 """
 
 
 def bounds_of_pieces(
-    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConesAbove
+    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Bounds of the distance minus what a leaf holds, over pieces, to within their ``slack``.
-
-    A piece may be asked about several times, for other leaves each: rows are told apart by their place.
-    """
+    """Bound the distance minus a leaf's function over each given piece, up to the sources' ``slack``."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -70,86 +66,81 @@ def bounds_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """What leaves hold: functions of a leaf model, of finite coefficients in boxes.
-
-    The model is a :class:`LeafModel`, whose file imports this one.
-    """
+    """The functions of leaves: their model (a :class:`LeafModel`), boxes and finite coefficients."""
 
     model: Any
     lo: Float[np.ndarray, "leaves dim"]
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
-    def below_cones(self, leaf: Int[np.ndarray, "n"]) -> ConesAbove:
-        """Return a function that bounds cones minus the functions of given leaves, from which rows choose."""
+    def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
+        """Return a function that bounds cones minus functions; row ``i`` stands for ``leaf[i]``."""
 
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
-            return self.model.below_cones(*functions, pieces, apex, offset)
+            return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
 
         return of_rows
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
-        """Bound the largest error in each leaf, from its sources as a cell; 0 where nothing reaches the goal."""
-        lower, upper = bounds_of_pieces(visible, np.arange(len(visible.cell)), self.below_cones(visible.cell))
+        lower, upper = bounds_of_pieces(
+            visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
+        )
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
         return errors
 
 
-# Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
+# Rounds of halving, and pieces in a round. Beyond these limits bounds are valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-_OF_RANGE = 0.04  # of the range of errors that are met in a leaf, by which its bounds may be beyond them
-LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
+# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, but at least
+# and at most by these shares of the largest error of all leaves.
+_OF_RANGE = 0.04
+LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of the distance minus what each leaf holds, over all its points from which the goal can be reached."""
+    """Bounds of the distance minus each leaf's function, over all its points that reach the goal."""
 
     lower: Float[np.ndarray, "leaves"]
     upper: Float[np.ndarray, "leaves"]
 
 
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
-"""Of the distance minus what each leaf holds."""
+"""Distance minus the leaf's function, one value a leaf."""
 
 
 def prove_bounds(
     functions: LeafFunctions,
     visible: CellSources,
-    enough: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
+    sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
 ) -> LeafBounds:
-    """Bounds for leaves, whose sources are given as cells.
+    """Prove bounds for all leaves, from the sources of their cells.
 
-    In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
-
-    Args:
-        functions: What the leaves hold.
-        visible: Their sources.
-        enough: What bounds of leaves need not be better than, given errors that are met; None: such as are close to
-            these, or off by little of the largest error of all.
+    ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to these
+    errors. Double precision rounds far less than the ``slack`` of the sources, which the bounds include.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
-    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # of the errors that are met
+    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
     leaf = visible.cell
     for round_ in range(_MOST_ROUNDS):
         here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
         met = visible.distance - functions.model.values(*here, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
-        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.below_cones(leaf))
-        # Bounds that need not be better, given errors that are met.
+        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
+        # Bounds beyond these are tightened further.
         largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (
             np.clip(_OF_RANGE * (most - least), LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
             + visible.slack
         )
         low_enough, high_enough = least - spare, most + spare
-        if enough is not None:
-            low, high = enough(least - visible.slack, most + visible.slack)
+        if sufficient is not None:
+            low, high = sufficient(least - visible.slack, most + visible.slack)
             low_enough = np.minimum(low_enough, low + visible.slack)
             high_enough = np.maximum(high_enough, high - visible.slack)
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
@@ -158,13 +149,13 @@ def prove_bounds(
         np.maximum.at(upper, leaf[~open_], above[~open_])
         if not open_.any():
             break
-        visible = _halved(visible, np.flatnonzero(open_))
+        visible = _halve_pieces(visible, np.flatnonzero(open_))
         leaf = leaf[open_][visible.cell // 2]
     return LeafBounds(lower - visible.slack, upper + visible.slack)
 
 
-def _halved(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Both halves of some pieces, each cut across where it is longest: two cells a piece."""
+def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
+    """Halve pieces across their longest side; both halves become cells."""
     alone = visible.pieces_as_cells(piece)
     lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
     each = np.arange(len(piece))
@@ -177,33 +168,30 @@ def _halved(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources
     return alone.parts(parent, axis[parent], is_upper, los, his)
 
 
-# Classes of leaves, each with bounds of its own, are nearly as narrow as bounds of every leaf, for few bits a leaf:
-# most leaves are far better than the few worst, as those where walls touch.
-
+# Classes of leaves with common bounds are nearly as narrow as bounds of every leaf, for few bits: most leaves have
+# far smaller errors than the few worst, such as leaves where walls touch.
 
 _COUNT_BITS = 4
-_BITS_A_CLASS = 53  # its bounds, and what a set takes besides its members
-_PRICES = np.ldexp(1.0, -np.arange(60))  # of a bit, in widths of the one class that all leaves may be
+_BITS_A_CLASS = 53  # its bounds, and the fixed size of a set
+_PRICES = np.ldexp(1.0, -np.arange(60))  # prices of a bit to try, in units of the width of one class of all leaves
 
 
-def in_classes(
+def classify_bounds(
     codes: Integer[np.ndarray, "2 leaves"],
     code_factor: Float[np.ndarray, "codes"],
     volume: Float[np.ndarray, "leaves"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"]:
-    """Codes of lower and upper bounds of the classes of leaves, of the least mean width for so many bits.
+    """Replace the codes of leaves by codes of classes: the smallest mean width of bounds that fits into ``max_bits``.
 
-    A class is of leaves whose larger codes are in a range, and its codes are the largest of its leaves. The best
-    ranges at a price of a bit are found by dynamic programming: the best ones up to each code end in some range, and
-    before it are the best ones up to there. The price falls as long as there is room. Bounds are multiples of the
-    factors of their codes.
+    A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
+    a bit; the price falls until the classes no longer fit. ``code_factor`` maps codes to multiples of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
 
     def of_ranges(of_rank: Shaped[np.ndarray, "ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
-        """What folds up over all ranges, from a first rank to a last one."""
+        """Reduce values over all ranges of ranks, by first and last rank."""
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
 
     highest = np.zeros((2, number), codes.dtype)
@@ -239,10 +227,7 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Codes of the narrowest of given classes that holds each leaf; None if there is none, or not room for them.
-
-    After a change that keeps most leaves, most are in the class that they were in, and a file says the same of them.
-    """
+    """Return codes of the narrowest given class that contains each leaf; None if none does or they do not fit."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -250,7 +235,7 @@ def requantize_bounds(
 
 
 def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
-    if len(np.unique(_as_numbers(codes))) > 1 << _COUNT_BITS:
+    if len(np.unique(_class_keys(codes))) > 1 << _COUNT_BITS:
         return False
     body = BitWriter()
     write_classes(body, codes)
@@ -258,9 +243,9 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
-    """Append bounds of classes, at most 16 different ones, and the class of each leaf."""
+    """Append the bounds of at most 16 classes, and the class of each leaf."""
     _, first, class_of, size = np.unique(
-        _as_numbers(codes), return_index=True, return_inverse=True, return_counts=True
+        _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )
     classes, order = codes[:, first], np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
@@ -270,19 +255,18 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
         place = place[place > each]
 
 
-def distinct(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
-    """Each class once."""
-    return codes[:, np.unique(_as_numbers(codes), return_index=True)[1]]
+def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
+    return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
-def _as_numbers(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
-    """Both codes of each as one number, in their order."""
+def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
+    """Combine the lower and upper code of each leaf into one sortable integer."""
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """What :func:`write_classes` appended; raises ``ValueError`` saying what is wrong with it."""
+    """Read what :func:`write_classes` appended; ``ValueError`` describes damaged data."""
     count = int(body.read_alike(1, _COUNT_BITS)[0]) + 1
     classes = body.read_alike(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -295,21 +279,22 @@ def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
 _A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)
 _MAX_ERROR_BITS = 32
-_BYTES_A_BIT, _LEAST_BITS = 16, 80  # of leaves, for each bit of classes: a 128th; with fewer bits there are none
+# Classes get one bit for each 16 bytes of leaves (1/128 of their size); with fewer than 80 bits there are none.
+_BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """What a file keeps of a proof; the numbers are those in files."""
+    """The kinds of proof that a file can store, with their numbers in files."""
 
     NONE = 0
     CLASSES = 1
-    """Of classes of leaves; of all of them, the largest error alone, where there is no room for more."""
+    """Bounds of classes of leaves, or only the largest error if there is no room for classes."""
     LEAVES = 2
     OPEN_LEAVES = 3
-    """Of leaves, some of which have no upper bound."""
+    """Bounds of every leaf; the largest upper code means that there is no upper bound."""
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Most bits that it takes, of leaves that take so many bytes."""
+        """Return the largest number of bits of this proof, if the leaves take ``num_bytes``."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
@@ -320,12 +305,11 @@ def _room_for_classes(num_bytes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Proven bounds of the distance minus what a PLR answers.
+    """Proven bounds of the distance minus the values of a PLR.
 
     Attributes:
-        scale: Of the codes: the largest bound there is; exact in 32 bits.
-        codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
-        proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
+        scale: The largest bound, exact in 32 bits, in which codes are expressed.
+        codes: Codes of lower and upper bounds; None if only the scale is stored.
     """
 
     scale: float
@@ -341,60 +325,58 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """The certificate of bounds, and of what queries round; upper ones may be ``inf`` for open leaves.
+        """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
 
-        Classes are those of a certificate before, if these will do; else they are chosen for a small mean width over
-        leaves of such volumes, which take so many bytes.
+        The classes of ``before`` are used again if all bounds fit into them. Otherwise new classes minimize the mean
+        width, weighted by ``volume``.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
-            largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # so that no bound has the largest code
+            largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
-        codes = np.stack([_codes(lower, scale), _codes(np.where(is_open, scale, upper), scale)])
+        codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
-            room, factor = _room_for_classes(num_bytes), _of_codes(np.arange(_MOST + 1), 1.0)
+            room, factor = _room_for_classes(num_bytes), _decode_bounds(np.arange(_MOST + 1), 1.0)
             found = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
-                of_scale = np.stack([_codes(lower, before.scale), _codes(upper, before.scale)])
-                found = requantize_bounds(of_scale, distinct(before.codes), factor, room)
+                of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
+                found = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
                 scale = scale if found is None else before.scale
             if found is None:
-                found = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
+                found = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), room)
             codes = None if (found == found[:, :1]).all() else found
         return Certificate(scale, codes, proof)
 
     @property
     def max_error(self) -> float:
-        """Of the largest error anywhere; ``inf`` if a leaf has no upper bound."""
+        """The largest error anywhere; ``inf`` if a leaf has no upper bound."""
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """What is to be added to answers for lower and upper bounds, exact in 32 bits: of each leaf, or of all."""
+        """Return the offsets from values to lower and upper bounds, exact in 32 bits, for each leaf or for all."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
-        lower, upper = _of_codes(self.codes, self.scale)
+        lower, upper = _decode_bounds(self.codes, self.scale)
         if self.proof is Proof.OPEN_LEAVES:
             upper[self.codes[1] == _MOST] = np.inf
         return np.stack([-lower, upper])
 
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
-        """Bounds of all classes, the narrowest first."""
-        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct(self.codes)).bounds()
+        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
-    def enough(
+    def sufficient_bounds(
         self,
         least: Float[np.ndarray, "leaves"],
         most: Float[np.ndarray, "leaves"],
         rounding: Float[np.ndarray, "leaves"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-        """Bounds of leaves than which better ones are not needed, given errors that are met.
+        """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
 
-        Those of the narrowest class that holds these, less what queries round; or such as are off by little of the
-        largest error of all.
+        These bounds exceed the errors slightly, or belong to the narrowest class that contains the errors.
         """
         spare = LEAST_OF_LARGEST * self.scale
         least, most = least - spare, most + spare
@@ -407,7 +389,6 @@ class Certificate:
         return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
     def write(self, body: BitWriter) -> None:
-        """Append it to a file."""
         classes = self.codes if self.proof is Proof.CLASSES else None
         body.write_floats(np.array([self.scale if classes is None else -self.scale]))
         if classes is not None:
@@ -417,7 +398,7 @@ class Certificate:
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certificate | None:
-    """What :meth:`Certificate.write` appended; raises ``ValueError`` saying what is wrong with it."""
+    """Read what :meth:`Certificate.write` appended; ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
     scale, codes = float(body.read_floats(1)[0]), None
@@ -430,16 +411,16 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certific
     return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
 
 
-def _of_codes(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    """Bounds of codes, as 32-bit floats that are not below them."""
+def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
+    """Return the bounds of codes, rounded up to 32-bit floats."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
-def _codes(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
-    """The smallest codes whose bounds are not below."""
+def _encode_bounds(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
+    """Return the smallest codes whose bounds are not below the given ones."""
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)
-    short = (_of_codes(code, scale) < bound) & (code < _MOST)  # by rounding of the logarithm
+    short = (_decode_bounds(code, scale) < bound) & (code < _MOST)  # if the logarithm was rounded down
     return code + short.astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Which leaves touch: faces, corners that hang on them, the largest contact, pairs of leaves of two trees."""
+"""Adjacent leaves: shared faces, hanging corners, largest contacts, and overlapping leaves of two trees."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,27 +12,16 @@ from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Pairs of leaves that have something in common, found down two trees of one domain at once.
-
-
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
-
-
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Which pairs stay, once the node of a side gave way to its lower (0) or upper (1) half, split by an axis each."""
+"""Function of pairs, side, half, axes: which pairs to keep after a side's nodes became their lower or upper half."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
-    """Pairs of leaves below pairs of nodes: the larger node gives way to its children, until both are leaves.
+    """Find pairs of leaves by descending two trees at once; the larger node of a pair gives way to its halves.
 
-    Args:
-        a: The tree of the first nodes.
-        b: That of the second ones.
-        pairs: Nodes of ``a``, of ``b``, and what else there is to tell of a pair, which its children inherit.
-        keep: Which of the children's pairs have in common what is looked for.
-
-    Returns:
-        Numbers of leaves in the order of their tree's traversal, and what else there is to tell.
+    ``pairs`` has nodes of ``a``, nodes of ``b``, and rows that halves inherit. In the result, leaves have their index
+    in their tree's order.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -58,29 +47,23 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
 def overlap(
     a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "n"]:
-    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    """All pairs of leaves of two trees of one domain whose interiors meet."""
-
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
     return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
 
 
-# Values that depend on others, which depend on others, without cycles.
-
-
 ZERO = 1e-9
-"""Below which combinations of weights that are multiples of small powers of two are 0."""
+"""Weights below this are zero: exact weights are multiples of small powers of two."""
 
 
-def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """From what every dependent value is made of to what it is made of in the end: free values alone."""
+def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
+    """Express every value by free values only, from a matrix of one-step dependencies without cycles."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -90,12 +73,12 @@ def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
     return step
 
 
-def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
+def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
+    """Return a matrix for which all rows vanish: each row expresses the finest group in it by other groups."""
     from scipy.sparse import csr_array
 
-    solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
-    uses: dict[int, set[int]] = {}  # which of these combinations a group was put into
+    solved: dict[int, dict[int, float]] = {}  # eliminated group -> combination of others
+    uses: dict[int, set[int]] = {}  # group -> eliminated groups that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0
     rows.eliminate_zeros()
     work = 0
@@ -103,7 +86,7 @@ def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -
         row: dict[int, float] = {}
         for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
             work += _add(row, weight, solved.get(index, {index: 1.0}))
-        require_few(work, most)
+        check_num_weights(work, most)
         if not row:
             continue
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
@@ -123,7 +106,7 @@ def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
-    """Add a multiple of another row; how many weights it has."""
+    """Add a multiple of ``other`` to a sparse row, and return the number of its weights."""
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > ZERO:
@@ -133,19 +116,15 @@ def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
     return len(other)
 
 
-def require_few(number: int | float, most: int) -> None:
-    """Raise ``ValueError`` if weights are more than are allowed."""
+def check_num_weights(number: int | float, most: int) -> None:
     if number > most:
         raise ValueError(
-            f"its tied leaves hang on one another by {number:.3g} weights or more; {most} are allowed. Build it of "
-            "fewer leaves or in fewer dimensions, or of planes, which are not tied"
+            f"its tied leaves may hang on one another by {most} weights at most, got {number:.3g} or more. Build "
+            "it of fewer leaves, in fewer dimensions, or of planes, which are not tied"
         )
 
 
-# Which leaf touches another the most: where a function continues that a leaf has none of its own of.
-
-
-_TOUCH = 2.0**-20  # what touching in a point along an axis counts, in finest slots
+_TOUCH = 2.0**-20  # contact along an axis on which two cells only touch, in widths of the finest cell
 
 
 def neighbor_of_largest_contact(
@@ -154,10 +133,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
-    """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
-
-    -1 where it touches none, across the seams of ``periodic`` axes neither.
-    """
+    """Return, for each unreachable leaf, the first reachable leaf of largest contact; -1 if it touches none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -174,9 +150,9 @@ def neighbor_of_largest_contact(
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...] = ()
 ) -> Int[np.ndarray, "2 pairs"]:
-    """All pairs of one of some leaves and one of others that have a face, an edge or a corner in common."""
+    """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner."""
     is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
-    holds = np.zeros((2, len(tree.child)), bool)  # which nodes hold one of some leaves, and one of the others
+    holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
     for splits in reversed(tree.splits):
         holds[:, splits] = holds[:, tree.child[splits]] | holds[:, tree.child[splits] + 1]
@@ -192,7 +168,7 @@ def touching_leaves(
 def _contacts(
     cells: Cells, a: Int[np.ndarray, "n"], b: Int[np.ndarray, "n"], is_periodic: Bool[np.ndarray, "dim"]
 ) -> Float[np.ndarray, "n"]:
-    """What pairs of cells share, as a share of the domain; 0 where they do not touch."""
+    """Return the size of the contact of pairs of cells, as a share of the domain; 0 where they do not touch."""
     contact, finest = np.ones(len(a)), cells.depth.max(axis=0)
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -207,15 +183,16 @@ def _contacts(
     return contact
 
 
-_MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
+# Largest number of shared faces: in all, or per leaf if that gives more.
+_MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common.
+    """Shared parts of faces of two leaves, one below and one above it along ``axis``.
 
-    Across the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans such an
-    axis shares a face with itself.
+    At the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans a periodic axis
+    shares a face with itself.
     """
 
     lower: Int[np.ndarray, "faces"]
@@ -227,15 +204,9 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
-    """All pairs of leaves that share a piece of a face, sorted by the lower leaf, then the upper, then the axis.
-
-    The halves of a split share a face, and the root one with itself across the seam of each ``periodic`` axis. A pair
-    of nodes that do is replaced by pairs of a node and a child that do, until both are leaves.
-
-    Raises:
-        ValueError: If they are too many to be listed, as where many slabs meet many that lie across them.
-    """
+    """Return all shared faces, sorted by lower leaf, upper leaf and axis; ``ValueError`` if they are too many."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
+    # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     seams = np.flatnonzero(periodic)
@@ -243,8 +214,10 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         if pairs.shape[1] > most:
-            raise ValueError(f"its {len(tree.node_of_leaf)} leaves share more than {most} faces; build it of fewer")
-        # Of halves along the face's own axis, the one beyond the other's reach of the face does not touch it.
+            raise ValueError(
+                f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it of fewer leaves"
+            )
+        # Only the half next to the face touches it, if the split is along the face's axis.
         return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
 
     lower, upper, axis = leaf_pairs(tree, tree, pairs, keep)
@@ -253,10 +226,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes.
-
-    A seam is at 1, where its lower leaf is.
-    """
+    """Return points of faces as fractions of the domain; ``w`` spans the shared part from 0 to 1 along each axis."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -266,12 +236,8 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     return low[:, None] + (high - low)[:, None] * w
 
 
-def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """For every corner of every leaf the two between which a split put it, and whether one did.
-
-    The youngest split that made a corner halved an edge of the split cell: the corner is the middle of that edge.
-    Its ends are corners of leaves inside the split cell, numbered ``leaf * 2**dim + corner``.
-    """
+def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
+    """Return, for each leaf corner, the ends of the edge that a split halved there, and whether one did."""
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

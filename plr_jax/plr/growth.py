@@ -1,9 +1,8 @@
-"""Growing a partition best-first (Algorithm 1 of the paper), its rules, its limits, and a way to stop early.
+"""Grow a partition best-first (Algorithm 1 of the paper): rules, limits, and the choice of the final leaves.
 
-The leaf of the largest priority is split first, as with a priority queue, but no leaf waits for its turn: each
-round splits all leaves that are sure enough to be split, and the splits beyond the budget are taken back at the
-end. The result is the tree that splitting one leaf at a time gives, whatever the size of a round. A budget of bytes
-is spent on the best tree among prefixes of the splits, and on the bits that its numbers are worth.
+Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
+priority queue split one leaf at a time. Under a byte budget, the final tree is a prefix of the split order, chosen
+together with the number of bits for each coefficient.
 """
 
 import os
@@ -23,38 +22,34 @@ from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
-_BYTES_A_NODE = 200
+_BYTES_A_NODE = 200  # of memory, during construction
 
 GrowingTree = TypeVar("GrowingTree", bound=Sized)
 """A partition under construction; its length is its number of leaves."""
 
 
 class BudgetTooSmall(ValueError):
-    """A budget of bytes is too small even for one leaf.
-
-    Attributes:
-        num_bytes: How many bytes are enough.
-    """
+    """An error: a byte budget is too small even for one leaf, which takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int, what: str = "one leaf"):
-        super().__init__(max_bytes, num_bytes, what)  # all of them, so that it can be pickled
+        super().__init__(max_bytes, num_bytes, what)  # all arguments, for pickling
         self.num_bytes = num_bytes
 
     def __str__(self) -> str:
         max_bytes, num_bytes, what = self.args
-        return f"max_bytes={max_bytes:g} is too small: {what} takes {num_bytes} bytes; allow at least that."
+        return f"max_bytes={max_bytes:g} is too small: {what} takes {num_bytes} bytes. Allow at least that many."
 
 
 class ConstructionInterrupted(UserWarning):
-    """Ctrl-C ended a construction early; what it returns is the PLR built so far."""
+    """A warning: an interrupt (Ctrl-C) ended a construction early, and the result is the PLR built so far."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """When to stop: see :func:`construct`.
+    """The limits of a construction: see :func:`construct`.
 
-    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have
-    room for the ``proof``, with which errors are those that are proven, and take ``frame_bytes`` besides bits.
+    ``max_axis_depth`` limits the halvings along one axis, and so the size of query tables. ``frame_bytes`` are the
+    bytes of a file besides its bit stream.
     """
 
     max_depth: int
@@ -66,32 +61,29 @@ class Limits:
     frame_bytes: int
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Bytes of a file of so many leaves, of which the model keeps so many bits."""
+        """Return the bytes of a file whose leaves take ``num_bits`` bits, proof included."""
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
     def require_room(self, num_bytes: int) -> None:
-        """Raise ``BudgetTooSmall`` if a file of one leaf, of so many bytes, is larger than ``max_bytes``."""
         if num_bytes > self.max_bytes:
             raise BudgetTooSmall(self.max_bytes, num_bytes)
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
-    """Raise ``ValueError`` if a tree of so many nodes does not fit into this machine's memory."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
         raise ValueError(
             f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {memory / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes or a tolerance."
+            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a tolerance."
         )
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
-    """Split in rounds, from the root alone, until ``split_some`` gives None instead of a larger tree.
+    """Call ``split_some`` repeatedly until it returns None instead of a larger tree; return the last tree.
 
-    Returns the last tree. An interrupt (Ctrl-C) loses the round, never the tree so far, which then comes with a
-    ``ConstructionInterrupted`` warning.
+    An interrupt (Ctrl-C) loses only the current round, and gives a ``ConstructionInterrupted`` warning.
     """
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
     with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
@@ -105,21 +97,18 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
     return tree
 
 
-# The nodes of a growing tree, and the order in which a priority queue would split them.
-
-
 NEVER = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes(Rows):
-    """All nodes of the growing tree, parents before children; as long as it has leaves.
+    """The nodes of a growing tree, parents before children; the length is the number of leaves.
 
     Attributes:
-        error: Mean error over the reachable samples.
-        share: Share of the domain's volume that a node's reachable samples stand for.
-        key: Rank of the node's split: its priority, but never above its parent's; ``-inf`` if it may not be split.
-        child: Index of the lower child, the upper one following it; -1 for a leaf.
+        error: Mean error over a node's reachable samples.
+        share: Share of the domain's volume that these samples represent.
+        key: Sort key of the split: its priority, capped by the parent's key; ``-inf`` if the node may not be split.
+        child: Index of the lower child, followed by the upper one; -1 for a leaf.
     """
 
     cells: Cells
@@ -133,8 +122,7 @@ class Nodes(Rows):
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
 
-    def leaves_after(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
-        """Leaves of the tree whose inner nodes are the given ones."""
+    def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -143,10 +131,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Nodes that are or may be split, in the order in which a priority queue would split them.
-
-    A child's key is at most its parent's, so every prefix of this order is a tree.
-    """
+    """Return the nodes that are or may be split, in a priority queue's order; every prefix of it is a tree."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -159,15 +144,11 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Leaves of a round: their fits, and whether and when each may be split.
-
-    The key of a cell's parent is the ``bound`` above which its own may not rise; ``priority`` and ``axis`` are what
-    the rules say.
-    """
+    """Make nodes of fitted cells; ``bound`` has their parents' keys, the rules gave ``priority`` and ``axis``."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
-    may_split = (priority > least_priority(fit, limits)) & is_open(fit.cells, axis, limits)
+    may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
     return Nodes(
         cells=fit.cells,
         coefficients=coefficients,
@@ -180,22 +161,19 @@ def nodes_of_fit(
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
-    """Priority that a cell must exceed to be split: the tolerance, and what a split can mend."""
     return np.maximum(limits.tolerance, fit.noise)
 
 
-def is_open(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
-    """Which cells the limits on depth allow to be halved along the given axes."""
+def is_within_depth(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
     along = cells.depth[np.arange(len(cells)), axis]
     return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
 
 
 def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
-    """Raise ``ValueError`` if a rule of the caller's does not answer as it should."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(
-            f"should_split must return one priority a cell, shape ({cells},) and no NaN, got shape {priority.shape}."
+            f"should_split must return one priority a cell, shape ({cells},) without NaN, got shape {priority.shape}."
         )
     if axis.shape != (cells,) or (axis < 0).any() or (axis >= dim).any():
         raise ValueError(
@@ -206,72 +184,60 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
 
 # SHOULDSPLIT and SPLIT, the two strategies of Algorithm 1.
 #
-# A ``should_split`` rule gives every cell a priority: the leaf of the largest priority is split next, and never
-# one of priority 0 or below. A ``split`` rule gives the axis along which a cell would be halved.
-
+# ``should_split`` gives every cell a priority: the leaf of the largest positive priority is split next. ``split``
+# gives the axis along which to halve a cell.
 
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
 
-# The longest side of a cell is at most 2**3 times its shortest (in fractions of the domain): enough for thin walls,
-# and it stops a cell that mostly lies in an obstacle from being halved along the wall for ever.
+# The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
+# walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
 MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Largest (weighted) error ``abs(L - V)`` over a cell's samples: best-first refinement.
-
-    Args:
-        fit: Some cells, their samples and planes.
+    """Return each cell's largest weighted error ``abs(L - V)`` over its samples: best-first refinement.
 
     Returns:
-        A priority for each cell, in units of distance; 0, so never to be split, where no sample is reachable.
+        A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
     """
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """(Weighted) error at the cell's center, the rule of Section III-B of the paper.
+    """Return each cell's weighted error at its center, the rule of Section III-B of the paper.
 
-    A cell whose center cannot be reached is judged by its largest sample error, so that an obstacle in the middle
+    If the center cannot be reached, the cell's largest sample error counts instead, so that an obstacle in the middle
     does not hide a bad fit around it.
 
-    Args:
-        fit: Some cells, their samples and planes.
-
     Returns:
-        A priority for each cell, in units of distance; 0, so never to be split, where no sample is reachable.
+        A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
     """
     at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Split every cell that has a reachable sample, breadth first, until the limits: the paper's simplest rule.
-
-    Args:
-        fit: Some cells, their samples and planes.
+    """Split every cell that has a reachable sample, breadth first, up to the limits: the paper's simplest rule.
 
     Returns:
-        A priority for each cell: ``inf``, or 0 where no sample is reachable.
+        A priority for each cell: ``inf``, or 0 if no sample is reachable.
     """
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """The axis whose two halves, fitted apart, leave the smallest sum of squared errors over the samples.
-
-    Args:
-        fit: Some cells, their samples and planes.
+    """Return the axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Returns:
-        An axis for each cell, of those along which its halves are at most 8 times narrower than along another.
+        An axis for each cell. Axes whose halves would be more than 8 times narrower than along another axis are
+        excluded.
     """
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """The axis of the least cost, of those along which a cell may be halved without getting too narrow."""
+    """Return the axis of least cost among those along which a cell may be halved without getting too narrow."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -279,23 +245,16 @@ def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """The axes in turn, as in Section III-B of the paper: axis ``n`` is followed by ``(n + 1) mod dim``.
-
-    Args:
-        fit: Some cells, their samples and planes.
+    """Return the axes in turn, as in Section III-B of the paper: ``(n + 1) mod dim`` follows axis ``n``.
 
     Returns:
-        An axis for each cell, one for all cells of one depth.
+        An axis for each cell: its number of splits modulo ``dim``.
     """
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    """Sum of squared errors of a cell's samples if its halves along each axis were fitted apart.
-
-    A least-squares problem over the residuals of the cell's own plane, which lies in the span of both halves. What
-    the planes of the halves explain of the residuals' sum of squares is taken from it.
-    """
+    """Return the sum of squared residuals of each cell if both halves along each axis were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = np.square(residual) @ fit.pattern.weight
@@ -304,7 +263,7 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     for axis, basis in enumerate(fit.pattern.halves_bases):
         squares[:, axis] = total - np.square(residual @ basis).sum(axis=1)
         if len(masked):
-            explained = np.zeros(len(masked))  # by planes in both halves
+            explained = np.zeros(len(masked))
             for design in np.split(fit.pattern.halves[axis], 2, axis=1):
                 projection = (weight * residual[masked]) @ design
                 explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
@@ -312,23 +271,21 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     return squares
 
 
-_BYTES_SLACK = 1.15  # leaves grown beyond the budget, so that fewer bits for more leaves is a choice
-_ROUNDING_SHARE = 0.2  # of the error of the fit, that of rounding when bytes do not matter much
+_BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of fewer bits can be chosen at the end
+_ROUNDING_SHARE = 0.2  # rounding error, as a share of the fit's error, for which sizes are estimated during growth
 _SAMPLES_AT_ONCE = 2**20
-_LAST_SHARE = 32  # of the splits so far, as many as this fraction are made in one last round
+_LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
 
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
-"""COMPUTECOEFFICIENTS for a round's cells, none of which may be split before a split of the given key."""
+"""Function from cells and their parents' keys to nodes: COMPUTECOEFFICIENTS and the split rules, for one round."""
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How a model whose leaves are fitted one by one stores them, with a choice of how many bits.
+    """A storage format of independent leaves: the bits to choose from, the size of the file, the rounding error.
 
-    Attributes:
-        choices: Bits that construction chooses from.
-        size: Bytes of the file of these leaves, in so many bits.
-        rounding_error: Root mean square, over the cells, of what rounding to so many bits changes.
+    ``size`` and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among them, and
+    bits.
     """
 
     choices: Sequence[int]
@@ -337,7 +294,7 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """How a round's cells are fitted from samples of each, those of which too little was seen from more of them."""
+    """Return a function that samples and fits the cells of a round, densely where few samples reach the goal."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -351,7 +308,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
         if not few.any():
             return nodes_of(fit, bound)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+        fits = (fit[~few], bound[~few]), (sampler.sample_densely(cells[few]), bound[few])
         first, *others = (nodes_of(*each) for each in fits if len(each[1]))
         return first.append(*others)[np.argsort(order)]
 
@@ -361,19 +318,15 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Int[np.ndarray, "leaves"], int]:
-    """Split until every node that belongs to the final tree has been split.
-
-    Returns all nodes, which of them are the leaves of the tree, and the bits to store them with.
-    """
+    """Grow a tree to its limits; return all nodes, the indices of its leaves, and the bits to store them with."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
-        """The nodes after a round; None if no leaf is to be split."""
-        # The better half of those that would be split if no better ones came up; of the last few all, as a round of a
-        # few takes as long as one of many.
+        # Split the better half of the leaves that would be split if no better ones came up. Near the end split all of
+        # them, as a round of few leaves takes as long as one of many.
         order = split_order(nodes)
         allowed = limits.max_leaves - 1
-        if np.isfinite(limits.max_bytes):  # then at most about as many as the bytes a leaf takes so far allow
-            leaf = nodes.leaves_after(order[nodes.child[order] >= 0][:allowed])
+        if np.isfinite(limits.max_bytes):  # estimate from the bytes per leaf so far
+            leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
             enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
             bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
             a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
@@ -394,28 +347,24 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
-    """Leaves of the best tree within the limits, and the bits to store them with.
-
-    Raises:
-        BudgetTooSmall: If the budget of bytes is too small for one leaf.
-    """
+    """Choose the leaves of the best tree within the limits, and the number of bits to store them with."""
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Int[np.ndarray, "leaves"]:
-        """Those of the largest tree of that order that fits into the bytes; none if not even the root does."""
+        """Return the leaves of the longest prefix of the split order that fits; none if not even the root fits."""
         if np.isinf(limits.max_bytes):
-            return nodes.leaves_after(order)
+            return nodes.leaves_of_splits(order)
         enough = bisect_right(
             range(len(order) + 1),
             limits.max_bytes,
-            key=lambda number: encoding.size(nodes, nodes.leaves_after(order[:number]), bits),
+            key=lambda number: encoding.size(nodes, nodes.leaves_of_splits(order[:number]), bits),
         )
-        return nodes.leaves_after(order[: enough - 1]) if enough else np.empty(0, np.int64)
+        return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
     def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-        """Mean error over reachable points: of the fit and of the rounding, which are independent."""
+        """Return the mean error over reachable points; errors of fit and rounding are independent."""
         return np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)) if len(leaf) else np.inf
 
     within = [(most_leaves(bits), bits) for bits in encoding.choices]

@@ -228,7 +228,7 @@ def _value(
     numbers, frame, place = _numbers(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
-        if tables.leaf.is_of_cells:
+        if tables.leaf.is_cell_relative:
             # From 0 to 1 in the interval of that number, or beyond by as much as the lookup rounds a point across a
             # border. Products and the difference are exact, so both leaves at a face see the same point.
             u = rounded(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
@@ -236,7 +236,7 @@ def _value(
             count = jax.lax.bitcast_convert_type(number & _EXPONENT, jnp.float32).astype(u.dtype)
             along = u * count - (numbers[axis] - count)
         place.append(_Unfused(_zero_if_differentiated(along, outside)))
-    of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_of_cells :]]
+    of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_cell_relative :]]
     return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
 
 
@@ -260,7 +260,7 @@ def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> l
     """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
     if tables.numbers.ndim == 2:
         return [gather(tables.numbers[which], row).astype(dtype) for which in range(len(tables.numbers))]
-    count = tables.leaf.num_numbers(tables.dim)
+    count = tables.leaf.num_leaf_parameters(tables.dim)
     return [gather(tables.numbers, row * np.uint32(count) + np.uint32(which)).astype(dtype) for which in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""Sampling the distance function in cells, and fitting a plane to each cell."""
+"""Sample the distance function in cells, and fit a plane to the samples of each cell."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,21 +17,13 @@ from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
-# Where a cell is sampled, the same in every cell, and what of a fit depends on that alone.
-
-
-_RANK_TOLERANCE = 1e-9
+_RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
 _FACE_WEIGHT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Where a cell is sampled, the same in every cell.
-
-    Attributes:
-        u: Local coordinates of the samples; ``[-1, 1]`` spans the cell.
-        weight: Weight of each sample in the fit.
-    """
+    """A sample pattern for all cells: local coordinates, in which ``[-1, 1]`` spans a cell, and fit weights."""
 
     u: Float[np.ndarray, "k dim"]
     weight: Float[np.ndarray, "k"]
@@ -41,32 +33,30 @@ class Pattern:
 
     @cached_property
     def reaches_beyond(self) -> bool:
-        """Whether some samples are outside their cell."""
         return bool((np.abs(self.u) > 1).any())
 
     @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
-        """Rows ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
+        """The design matrix ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Maps the values at all samples to the least-squares plane."""
+        """The matrix from the values at all samples to the least-squares plane."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis the designs of a plane in the lower and one in the upper half, side by side; 0 elsewhere."""
+        """The designs, for each axis, of separate planes in the lower and upper half of a cell, side by side."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis what maps the values at all samples to coordinates of the best fit by two planes.
+        """An orthonormal basis, for each axis, of the functions that are a plane in each half of a cell.
 
-        The coordinates belong to orthonormal functions, so the sum of their squares is the part of the values' sum
-        of (weighted) squares that the planes explain.
+        ``np.square(values @ basis).sum()`` is the part of the weighted sum of squared values that two planes explain.
         """
         root = np.sqrt(self.weight)[:, None]
         bases = []
@@ -78,11 +68,10 @@ class Pattern:
 
 @lru_cache(maxsize=8)
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
-    """The center, a scrambled Sobol sequence inside the cell, its corners if they are few, and its faces.
+    """Make a pattern of at least ``dim + 1`` samples: center, Sobol points inside, corners if few, and faces.
 
-    A third of the samples lie on the faces. They find the free slivers behind a wall and the corners at which a
-    distance bends most against its plane; they check the fit more than they shape it, so their weight is small.
-    There must be ``dim + 1`` or more; their coordinates are in ``[-1 - 2 margin, 1 + 2 margin]``.
+    A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the corners where a
+    distance deviates most from its plane; their small weight hardly shapes the fit. A margin scales all coordinates.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -97,45 +86,44 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    from scipy.stats import qmc  # half a second of import that a query does not need
+    from scipy.stats import qmc  # takes half a second
 
     exponent = max(num_points - 1, 0).bit_length()
     return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
 
 
-# COMPUTECOEFFICIENTS for many cells at once: the plane of each cell's samples, by batched least squares.
+# COMPUTECOEFFICIENTS of Algorithm 1: batched least squares.
 #
-# A plane is fitted in the local coordinates ``u`` of its cell (``[-1, 1]`` along every axis), as its value at the
-# center and its half-differences: ``L(u) = center + half . u``. In those coordinates the design matrix of a cell
-# without unreachable samples is the same for all cells, so its pseudo-inverse is computed once.
+# In the local coordinates ``u`` of a cell (``[-1, 1]`` along every axis) a plane is ``L(u) = center + half . u``: its
+# center value and its half-differences. All cells without unreachable samples have the same design matrix, so one
+# pseudo-inverse serves them.
 
-
-# Ridge on the slope, relative to the number of samples: small enough to leave a determined fit as it is (relative
-# change below 1e-8), large enough that a direction in which no sample varies gets slope zero.
+# Ridge on the slope, relative to the sum of weights. It changes determined fits by less than 1e-8, and makes the
+# slope zero along directions in which no sample varies.
 _RIDGE = 1e-9
 
 FitRule: TypeAlias = Callable[
     [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
     tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
 ]
-"""COMPUTECOEFFICIENTS: from the pattern, the values and their weights to centers and half-differences."""
+"""COMPUTECOEFFICIENTS: function from pattern, values and weights to center values and half-differences."""
 
 
 def least_squares(
     pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
-    """The plane of the smallest (weighted) sum of squared errors: the paper's fit, best for the mean error.
+    """Fit each cell's plane by weighted least squares, which gives small mean errors: the paper's fit.
 
-    A sample's weight is the pattern's times ``weight``. Where the samples of positive weight do not determine the
-    plane, the slope of least norm is taken: one sample gives its value with slope zero, none gives zero.
+    Each sample counts by the pattern's weight times ``weight``. If the samples of positive weight do not determine
+    the plane, the slope of least norm is used: a single sample gives a constant, no sample gives zero.
 
     Args:
-        pattern: Where the cells are sampled.
+        pattern: The sample pattern.
         value: Distance at each sample of each cell, finite.
-        weight: Weight of each, >= 0; 0 where the goal cannot be reached.
+        weight: Weight of each sample, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
+        The values at the cells' centers ``(cells,)`` and the half-differences ``(cells, dim)``.
 
     References:
         Section III-A of the paper.
@@ -149,7 +137,7 @@ def least_squares(
 
 
 def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
-    """Cells in which not every sample has weight 1."""
+    """Return the cells with a sample whose weight is not 1."""
     differs = weight != 1
     return np.flatnonzero(differs.any(axis=1)) if differs.any() else np.zeros(0, np.int64)
 
@@ -157,7 +145,6 @@ def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "maske
 def normal_matrices(
     design: Float[np.ndarray, "k terms"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells terms terms"]:
-    """The matrices of the normal equations of every cell."""
     k, terms = design.shape
     products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
     return (weight @ products).reshape(-1, terms, terms)
@@ -166,7 +153,7 @@ def normal_matrices(
 def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Planes that solve the normal equations; of slope zero in directions in which no sample varies."""
+    """Solve the normal equations of planes; slopes are zero along directions in which no sample varies."""
     terms, total = normal.shape[-1], normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
@@ -174,25 +161,25 @@ def solve_planes(
     return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
-_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
+_FEW_A_TERM = 2  # reachable samples per coefficient of a plane: no more hide errors
 
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 
 @dataclass(frozen=True, eq=False)
 class CellFit(Rows):
-    """Samples of a batch of cells and the plane fitted to each.
+    """Samples of a batch of cells and the plane fitted to each cell.
 
     Attributes:
         cells: The cells.
-        pattern: Where they were sampled; the first sample is the center.
-        max_axis_depth: How often a cell may be halved along one axis.
-        reachable: Which samples reach the goal.
-        weight: Weight that the caller gives each sample; 0 where the goal cannot be reached.
+        pattern: The sample pattern; its first sample is the center.
+        max_axis_depth: Largest number of halvings of a cell along one axis.
+        reachable: Which samples reach the goal, ``(cells, k)``.
+        weight: The caller's weight of each sample; 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
-        half: Half-difference of the plane along each axis of the cell.
-        residual: Sampled distance minus the cell's function, which is the plane unless a leaf model fits another one;
+        half: Half-difference of the plane along each axis, ``(cells, dim)``.
+        residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
     """
 
@@ -211,35 +198,28 @@ class CellFit(Rows):
 
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
-        """Cells in which not every sample has weight 1."""
+        """Indices of the cells with a sample whose weight is not 1."""
         return masked_cells(self.weight)
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Cells whose free part the samples hardly met, or missed.
-
-        A plane passes through a few samples, or there is none, and no error shows.
-        """
+        """Whether so few samples of a cell reach the goal that any plane fits them, and residuals hide its error."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
-        """Which cells may still be halved along some axis."""
+        """Whether each cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
     def noise(self) -> Float[np.ndarray, "cells"]:
-        """Errors too small for a split to mend: below the resolution of 32-bit floats, weighted as errors are."""
+        """Errors that a split cannot reduce: the resolution of 32-bit floats, weighted like errors."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """How cells are sampled and fitted: what stays the same throughout a construction.
-
-    Cells of which too little was seen are sampled again with the dense pattern. Where there is a ``memory``, as of
-    distance functions that answer for whole cells, it answers for samples inside them.
-    """
+    """A sampler of cells; the dense pattern is for cells in which few samples reach the goal."""
 
     distance_fn: DistanceFn
     domain: Box
@@ -251,7 +231,6 @@ class Sampler:
     memory: CellMemory | None = None
 
     def __call__(self, cells: Cells) -> CellFit:
-        """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         if pattern.reaches_beyond:
@@ -274,28 +253,24 @@ class Sampler:
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
 
-    def densely(self, cells: Cells) -> CellFit:
-        """Sample cells again with many more points: those that :attr:`CellFit.is_hardly_seen`."""
+    def sample_densely(self, cells: Cells) -> CellFit:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """The whole domain as one cell.
-
-        Raises ``ValueError`` if no sample reaches the goal, and no free piece either if these suffice.
-        """
+        """Sample the domain as one cell; ``ValueError`` if no sample (or free piece, if allowed) reaches the goal."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
             raise ValueError(
-                "distance_fn found nothing reachable: it returned inf at every sample of the domain. Check that the "
-                "goal lies in free space and that the domain is the part of the world it is in; if free space is a "
-                "tiny part of the domain, raise num_samples."
+                "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
+                "samples. Check that the goal is free and that the domain contains its surroundings. If free space "
+                "is tiny, raise num_samples."
             )
         return fit
 
 
-def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """With planes for cells whose free pieces no sample met: tangents at the center of the largest."""
+def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
+    """Give cells with free pieces but no reachable sample a plane: the tangent at their largest piece's center."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit
@@ -314,17 +289,18 @@ def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
 
 
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
-    """Distances at points, checked; a masked entry is one that cannot be reached."""
+    """Return checked distances at points; masked entries become ``inf``."""
     try:
-        answer = distance_fn(x.copy())  # it may compute in place
+        answer = distance_fn(x.copy())  # a copy, as the function may write to its argument
     except Exception as error:
-        error.add_note(f"distance_fn was called with points (n, dim) = {x.shape}, and must answer distances (n,).")
+        error.add_note(
+            f"distance_fn must return distances (n,) for points (n, dim); it was called with shape {x.shape}."
+        )
         raise
     return as_distances("distance_fn", answer, x)
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
-    """Weights at points, checked; what is masked is no weight."""
     answer = as_numbers("weight_fn's answer", weight_fn(x.copy()), f"real numbers of shape ({len(x)},)")
     weight = as_values("weight_fn", answer, len(x))
     if not np.isfinite(weight).all() or (weight < 0).any():
@@ -338,7 +314,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
 def weights_of_fit(
     reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells k"]:
-    """Weights with which to fit: a cell to which no weight is given is still fitted to its samples."""
+    """Return the weights of a fit: those given, or ``reachable`` for cells whose weights are all zero."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
@@ -346,17 +322,14 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
     if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
         raise ValueError(
             f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
-            f"value and half-differences a cell, got {np.shape(center)} and {np.shape(half)}."
+            f"value and half-differences for each cell, got {np.shape(center)} and {np.shape(half)}."
         )
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Weights of errors at folded points: the largest of all points of the domain that fold there, 0 without any.
-
-    Without a ``weight_fn`` every point of the domain has weight 1.
-    """
+    """Return error weights at folded points: the largest weight of all points that fold there; 0 if none do."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

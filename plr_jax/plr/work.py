@@ -1,7 +1,7 @@
-"""Work that takes long: workers that answer or build, and a checkpoint file that keeps what is done.
+"""Long computations: parallel workers, and checkpoint files that keep finished results.
 
-A checkpoint file has a head, which identifies the work, and then records, each with a key and a checksum. A record
-that was cut short, by a kill or by a full disk, is dropped when the file is opened again.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When it is
+opened again, a record that was cut short is dropped.
 """
 
 import os
@@ -28,23 +28,14 @@ from plr_jax.plr.sampling import call_oracle
 
 KEY_SIZE = 16
 _MAGIC = b"plr_jax checkpoint 1\n"
-_RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, bytes, checksum
-_NUM_POINTS = 256  # at which distance functions are told apart
+_RECORD = struct.Struct(f"<{KEY_SIZE}sII")  # key, size, checksum
+_NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """The file of some work.
+    """A checkpoint file, opened or created; ``records`` has the finished results by key.
 
-    Args:
-        path: The file, which is made where there is none.
-        digest: What tells this work from any other.
-
-    Attributes:
-        records: What is done, by key.
-
-    Raises:
-        ValueError: If the file is of other work, or no checkpoint.
-        OSError: If it cannot be read or written.
+    ``ValueError`` if the file's head is not that of a checkpoint with this ``digest``.
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
@@ -57,26 +48,27 @@ class Checkpoint:
         head = data[: len(self._head)]
         if not self._head.startswith(head):
             if not head.startswith(_MAGIC):
-                raise ValueError(f"{path} is no checkpoint: choose another path.")
+                raise ValueError(
+                    f"checkpoint must be a checkpoint file or a new path, got {path}. Choose another path."
+                )
             raise ValueError(
-                f"{path} is the checkpoint of other work: its distance functions or grid, domain, options or release "
-                "were others. Choose another path, or delete it to begin anew."
+                f"{path} is the checkpoint of other work: with another distance function, grid, domain, option or "
+                "release. Choose another path, or delete it to start again."
             )
         self._end = self._read(data) if len(head) == len(self._head) else 0
         if not self._end:
             self._append(self._head)
 
     def add(self, records: Mapping[bytes, bytes]) -> None:
-        """Keep what is done."""
         self.records.update(records)
-        self._append(_joined(records))
+        self._append(_encode_records(records))
 
     def finish(self) -> None:
-        """Put the records in order, so that the file is the same however the work went."""
-        write_atomically(self._path, self._head + _joined(dict(sorted(self.records.items()))))
+        """Sort the records, so that the file does not depend on the order of the work."""
+        write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
-        """Write behind what is whole, over a record that was cut short."""
+        """Write after the last whole record, and flush to disk."""
         with open(self._path, "r+b" if self._path.exists() else "xb") as file:
             file.seek(self._end)
             file.write(data)
@@ -86,7 +78,7 @@ class Checkpoint:
         self._end += len(data)
 
     def _read(self, data: bytes) -> int:
-        """Read the records up to the first that is not whole, which begins where this says."""
+        """Read all whole records, and return the offset where they end."""
         end = len(self._head)
         while end + _RECORD.size <= len(data):
             key, size, checksum = _RECORD.unpack_from(data, end)
@@ -98,16 +90,16 @@ class Checkpoint:
         return end
 
 
-def _joined(records: Mapping[bytes, bytes]) -> bytes:
+def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
     heads = (_RECORD.pack(key, len(record), zlib.crc32(key + record)) for key, record in records.items())
     return b"".join(part for both in zip(heads, records.values(), strict=True) for part in both)
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """What tells work from any other: the release, the domain, options, and distances.
+    """Return a digest that identifies a computation: release, domain, options, and distances at test points.
 
-    Of a distance function these are those at some points; of a family, at some points from one of them, and of
-    each that of all sources. They count to 32-bit floats, as other machines may round otherwise.
+    Members of a family add the distances of their sources, and only the first one is evaluated at test points.
+    Distances count as 32-bit floats, since other machines may round differently.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
@@ -122,27 +114,26 @@ def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes
     return digest.digest()
 
 
-_AT_ONCE = 1024  # points that a worker is asked for, however many workers there are
+_AT_ONCE = 1024  # points per task of a worker, independent of the number of workers
 
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function, answered from what is kept or by workers; None: by this process, and kept nowhere."""
+    """A distance function evaluated by an optional executor, with an optional checkpoint of its answers."""
 
     distance_fn: DistanceFn
     executor: Executor | None
-    kept: Checkpoint | None
+    checkpoint: Checkpoint | None
 
     def __call__(self, x: Points) -> Distances:
-        """Distances of points."""
-        if self.kept is None:
-            return self._ask(x)
+        if self.checkpoint is None:
+            return self._evaluate(x)
         key = sha256(np.array(x.shape).tobytes() + x.tobytes()).digest()[:16]
-        if key not in self.kept.records:
-            self.kept.add({key: self._ask(x).tobytes()})
-        return np.frombuffer(self.kept.records[key]).copy()
+        if key not in self.checkpoint.records:
+            self.checkpoint.add({key: self._evaluate(x).tobytes()})
+        return np.frombuffer(self.checkpoint.records[key]).copy()
 
-    def _ask(self, x: Points) -> Distances:
+    def _evaluate(self, x: Points) -> Distances:
         if self.executor is None:
             return call_oracle(self.distance_fn, x)
         parts, futures = [x[begin : begin + _AT_ONCE] for begin in range(0, len(x), _AT_ONCE)], []
@@ -155,7 +146,7 @@ class ParallelOracle:
                 answer = None
                 with suppress(BrokenExecutor):
                     answer = futures[number].result() if number < len(futures) else None
-                # If a worker has died, this process answers.
+                # If a worker died, this process computes the answer.
                 answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
             for future in futures:
@@ -164,16 +155,11 @@ class ParallelOracle:
 
 
 Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
-"""Numbers of some parts, and a function that returns the bytes of each, in a process of its own perhaps."""
+"""Indices of some parts, and a function that returns the bytes of each; it may run in another process."""
 
 
-class Done:
-    """The bytes of the parts that are done, None for the others.
-
-    Args:
-        total: The number of parts.
-        checkpoint: The file that keeps what is done; None: no file.
-    """
+class BuildResults:
+    """The results of all parts of a computation, as bytes; None for missing parts."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
@@ -181,13 +167,13 @@ class Done:
 
     @property
     def count(self) -> int:
-        """How many are done."""
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Build chunks; what a pool does not finish because a worker of it dies, by threads of this process.
+        """Compute chunks of parts with the executor, and with threads of this process if it is None or a worker dies.
 
-        If interrupted (Ctrl-C), what is done is here. Once all parts are done, the checkpoint is put in order.
+        After an interrupt (Ctrl-C), finished parts are in ``results``. Once all parts are finished, the checkpoint is
+        sorted.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:
@@ -199,7 +185,6 @@ class Done:
             self._checkpoint.finish()
 
     def _build_by(self, pool: Executor, chunks: list[Chunk], progress: tqdm) -> list[Chunk]:
-        """Build chunks by a pool; these are left of them when it breaks."""
         futures: dict[Future[list[bytes]], Chunk] = {}
         try:
             with suppress(BrokenExecutor):
@@ -208,20 +193,19 @@ class Done:
             for future in as_completed(futures):
                 with suppress(BrokenExecutor):
                     numbers, _ = futures[future]
-                    self._keep(numbers, future.result())
+                    self._store(numbers, future.result())
                     progress.update(len(numbers))
         except KeyboardInterrupt:
             for future, chunk in futures.items():
                 if future.done() and not future.cancelled() and future.exception() is None:
-                    self._keep(chunk[0], future.result())
+                    self._store(chunk[0], future.result())
             raise
         finally:
             for future in futures:
                 future.cancel()
         return [chunk for chunk in chunks if self.results[chunk[0][0]] is None]
 
-    def _keep(self, numbers: list[int], results: list[bytes]) -> None:
-        """Put the parts of a chunk in their places."""
+    def _store(self, numbers: list[int], results: list[bytes]) -> None:
         if self._checkpoint is not None and self.results[numbers[0]] is None:
             self._checkpoint.add({_key(number): data for number, data in zip(numbers, results, strict=True)})
         for number, data in zip(numbers, results, strict=True):

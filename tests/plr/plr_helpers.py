@@ -117,8 +117,8 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
     else:
         faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)
-        partition.tied[~partition.between_reachable()] = False
-        stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
+        partition.tied[~partition.may_be_tied()] = False
+        stored = StoredValues.quantize(partition, rng.normal(size=len(partition.space.free_dofs)), 0.01)
     domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5, periodic or None)
     return DecodedFile(domain, model, tree, stored)
 

@@ -129,13 +129,13 @@ class SlowReader:
     def _numbers(self, down):
         contents = self.contents
         is_own = np.isfinite(contents.leaf.coefficients(contents.tree.leaves, contents.stored)[:, 0])
-        numbers = contents.leaf.numbers(self.box, contents.tree.leaves, self.plr._coefficients, down)
+        numbers = contents.leaf.leaf_parameters(self.box, contents.tree.leaves, self.plr._coefficients, down)
         numbers[is_own] = self._own_numbers(down, numbers)[is_own]
         return numbers.astype(np.float32)
 
     def _own_numbers(self, down, numbers):
         contents, leaf = self.contents, self.contents.leaf
-        if leaf.is_of_cells:
+        if leaf.is_cell_relative:
             of_cells = np.zeros((len(contents.tree.leaves), self.plr.dim))  # which it reads from the cells themselves
             own, is_exact = polynomial_numbers(contents)
             own = np.column_stack([of_cells, own])

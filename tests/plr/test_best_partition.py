@@ -179,7 +179,7 @@ def test_boxes_without_error_are_leaves():
 
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):
     whole = search(random_costs(5), max_leaves=20)
-    monkeypatch.setattr(best_partition, "AT_ONCE", 3)
+    monkeypatch.setattr(best_partition, "BOXES_PER_BATCH", 3)
     parts = search(random_costs(5), max_leaves=20)
     assert parts[:2] == whole[:2]
     np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)

@@ -25,7 +25,7 @@ from plr_jax.plr.certificate import (
     LeafFunctions,
     Proof,
     bounds_of_pieces,
-    in_classes,
+    classify_bounds,
     prove_bounds,
     read_certificate,
     read_classes,
@@ -100,7 +100,7 @@ def test_bounds_are_beyond_all_that_is_met_and_halving_brings_them_close(kind):
     functions = LeafFunctions(leaf_model("plane"), 0 * slope - 1, 0 * slope + 1, np.column_stack([intercept, slope]))
     low, high = sampled(oracle, visible, slope, intercept, rng, 2000)
     piece = rng.integers(len(visible.cell), size=40)
-    cones_above = functions.below_cones(visible.cell[piece])
+    cones_above = functions.cone_minus_leaf_bounds(visible.cell[piece])
     lower, upper = bounds_of_pieces(visible, piece, cones_above)
     assert (lower - visible.slack <= low[piece]).all() and (upper + visible.slack >= high[piece]).all()
     assert (upper - lower <= 40).all()
@@ -207,7 +207,7 @@ def test_no_leaf_is_in_a_class_of_lower_codes_all_keep_their_room_and_are_read_a
     rng = np.random.default_rng(seed)
     codes = rng.geometric(0.03, (2, num_leaves)) + 150 * (rng.random((2, num_leaves)) < 0.02)
     codes = np.clip(codes, 0, 255)
-    found = in_classes(codes, FACTOR, rng.random(num_leaves), room)
+    found = classify_bounds(codes, FACTOR, rng.random(num_leaves), room)
     assert (found >= codes).all()
     np.testing.assert_array_equal(found.max(axis=1), codes.max(axis=1))
     assert written_classes(found).num_bits <= room or (found == found[:, :1]).all()
@@ -222,7 +222,7 @@ def test_two_classes_are_the_best_two(seed):
     """With room for two of few leaves, no other cut of the range of codes has a smaller mean width."""
     rng = np.random.default_rng(seed)
     codes, volume = np.where(rng.random(200) < 0.03, 255, rng.integers(20, 40, (2, 200))), rng.random(200)
-    found = in_classes(codes, FACTOR, volume, 130)
+    found = classify_bounds(codes, FACTOR, volume, 130)
     assert np.unique(found, axis=1).shape[1] == 2
     key = codes.max(axis=0)
     for _, cut in pairwise(np.unique(key)):
@@ -250,7 +250,7 @@ def test_classes_stay_as_far_as_they_hold_and_what_is_enough_is_within_them(seed
     stay = {tuple(each) for each in after.bounds().T.tolist()} <= classes
     assert stay == (after.scale == before.scale) == (error.max() <= 0.1)
     if stay:
-        low, high = before.enough(-error, error, rounding)
+        low, high = before.sufficient_bounds(-error, error, rounding)
         spare = 1.01e-3 * before.scale
         assert ((low >= lower + rounding) | (low >= -error - spare)).all() and (low <= -error).all()
         assert ((high <= upper - rounding) | (high <= error + spare)).all() and (high >= error).all()
@@ -433,7 +433,7 @@ def test_an_interrupted_proof_leaves_the_plr_without_one(maze, monkeypatch):
 
     whole = construct(maze, UNIT, max_leaves=20, certified=True)
     monkeypatch.setattr("plr_jax.plr._construct.certificate_of", interrupt)
-    with pytest.warns(ConstructionInterrupted, match="nothing is proven"):
+    with pytest.warns(ConstructionInterrupted, match="has no certificate"):
         plr = construct(maze, UNIT, max_leaves=20, certified=True)
     assert plr.max_error is None
     np.testing.assert_array_equal(plr.leaf_boxes, whole.leaf_boxes)
@@ -510,7 +510,7 @@ def test_an_open_room_is_exact():
         (lambda plr, maze: certify(plr, Euclidean((0.5, 0.5))), "answers for whole cells"),
         (lambda plr, maze: construct(cone, UNIT, certified=True), "answers for whole cells"),
         (lambda plr, maze: certify(construct(cone, Box([0], [1]), max_leaves=4), maze), "in the plane"),
-        (lambda plr, maze: certify(maze, maze), "Only a PLR"),
+        (lambda plr, maze: certify(maze, maze), "plr must be a PLR"),
         (
             lambda plr, maze: construct(maze, UNIT, certified="cells"),
             "certified must be True, False or 'leaves', got 'cells'",
@@ -528,5 +528,5 @@ def test_a_leaf_that_answers_inf_where_the_goal_is_reached_cannot_be_certified()
     thick = Workspace(((0, 0), (8, 8)), [box(1, 0, 8, 8), box(0, 1, 8, 8)])
     plr = construct(VisibilityGraph(thick, (0.5, 0.5)), thick.bounds, max_leaves=100)
     assert plr.num_unreachable
-    with pytest.raises(ValueError, match="answers inf, although some of its points reach the goal"):
+    with pytest.raises(ValueError, match="got inf in the leaf from"):
         certify(plr, VisibilityGraph(Workspace(thick.bounds), (0.5, 0.5)))

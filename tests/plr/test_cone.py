@@ -105,7 +105,7 @@ def test_cones_are_above_leaves_within_their_bounds(name, terms):
     coefficients = rng.normal(size=(60, terms)) + (np.array([0, 5, 5]) if name == "cone" else 0)
     apex, offset = rng.uniform(0, 10, (60, 2)), rng.normal(size=60)
     apex[::4] = pieces.mean(axis=2).T[::4]
-    low, high = leaf.below_cones(lo, hi, coefficients, pieces, apex, offset)
+    low, high = leaf.cone_minus_leaf_bounds(lo, hi, coefficients, pieces, apex, offset)
     for x in points_of(rng, pieces, 400).swapaxes(0, 1):
         value = offset + np.linalg.norm(x - apex, axis=1) - leaf.values(lo, hi, coefficients, x)
         assert (low <= value + 1e-9).all() and (value <= high + 1e-9).all()
@@ -132,8 +132,8 @@ def test_where_nothing_is_reached_the_construction_says_so():
 @pytest.mark.parametrize("max_bytes", [261, 661])
 def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
     x, plrs = maze.workspace.sample_free(20_000, seed=0), []
-    for choose in (search.sources_in_sight, lambda tree, options, fits: tree.source):
-        monkeypatch.setattr(search, "sources_in_sight", choose)
+    for choose in (search.prefer_visible_sources, lambda tree, options, fits: tree.source):
+        monkeypatch.setattr(search, "prefer_visible_sources", choose)
         plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=max_bytes, certified=True))
     plr, before = plrs
     assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
@@ -257,7 +257,7 @@ def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, mess
 
 @pytest.mark.parametrize(
     ("x", "distance", "message"),
-    [(0.0, 1e39, "scale them down"), (1e19, 0.0, r"Cones take distances and domains within 1e\+18")],
+    [(0.0, 1e39, "Scale them down"), (1e19, 0.0, r"Cones need distances and domains within 1e\+18")],
 )
 def test_what_cannot_be_squared_in_32_bits_is_refused(x, distance, message):
     with pytest.raises(ValueError, match=message):
@@ -324,7 +324,7 @@ def test_boxes_above_the_start_are_leaves_where_one_source_serves_all(workspace,
 def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
     levels, roots, _ = levels_of_family(monkeypatch, MAZE, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**3)
     price_search = PriceSearch(
-        levels, roots, limits_of(64), lambda member, tree: 0, thrift=SearchPruning(1.2, 4, 0.99)
+        levels, roots, limits_of(64), lambda member, tree: 0, pruning=SearchPruning(1.2, 4, 0.99)
     )
     forest = price_search.first()
     while (larger := price_search.next(forest)) is not None:
@@ -340,7 +340,7 @@ def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
     for member, tree in enumerate(forest.trees):
         assert 32 < len(tree) <= 64
         share, costs = 0.01 / 64, [level.costs(0.01 / 64) for level in levels]
-        found = price_search._tree_alone(member, tree.price, share)
+        found = price_search._best_tree(member, tree.price, share)
         memo = {}
 
         def best(depth, box, price=tree.price, costs=costs, memo=memo):

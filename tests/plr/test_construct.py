@@ -135,7 +135,7 @@ def test_many_axes_can_still_be_split():
         ({"leaf": 7}, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
         ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
         ({"domain": ((0, 0), (1, 0))}, "positive width"),
-        ({"domain": (3 * [0], 3 * [1]), "leaf": "smooth"}, "up to 2 dimensions, got 3. Use continuous ones"),
+        ({"domain": (3 * [0], 3 * [1]), "leaf": "smooth"}, "up to 2 dimensions, got 3. Use continuous leaves"),
         (
             {"domain": (7 * [0], 7 * [1]), "leaf": "continuous"},
             "up to 6 dimensions, got 7. Use planes",
@@ -276,7 +276,7 @@ def best_first_twin(distance_fn, max_leaves):
     def push(queue, cells):
         for cell in range(len(cells)):
             fit = sampler(cells[[cell]])
-            fit = sampler.densely(cells[[cell]]) if fit.is_hardly_seen[0] else fit
+            fit = sampler.sample_densely(cells[[cell]]) if fit.is_hardly_seen[0] else fit
             heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
 
     queue, done = [], []
@@ -433,7 +433,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
         ({"max_depth": 61}, "max_depth must be at most 60, got 61"),
         ({"max_depth": 60}, "would need about .* GiB; this machine has"),
         ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
-        ({"max_leaves": 10**12}, r"The limits allow 1e\+12 leaves or more, .*Give a smaller"),
+        ({"max_leaves": 10**12}, r"The limits allow 1e\+12 leaves or more, .*Reduce max_depth"),
         ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
         ({"tolerance": -0.1}, "tolerance must be a finite number of at least 0"),
         ({"tolerance": np.nan}, "tolerance must be a finite number of at least 0"),
@@ -496,4 +496,4 @@ def test_every_prefix_of_the_order_of_splits_is_a_tree():
     tree = growth.Nodes(cells, np.zeros((5, 3)), np.zeros(5), np.zeros(5), np.zeros(5, int), key, child)
     order = growth.split_order(tree)
     assert order.tolist() == [0, 2, 1, 4] and len(tree) == 3
-    assert [tree.leaves_after(order[:n]).tolist() for n in range(3)] == [[0], [1, 2], [1, 3, 4]]
+    assert [tree.leaves_of_splits(order[:n]).tolist() for n in range(3)] == [[0], [1, 2], [1, 3, 4]]

@@ -13,7 +13,7 @@ import plr_jax
 from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
 from plr_jax.plr import work as work_module
-from plr_jax.plr.work import Done
+from plr_jax.plr.work import BuildResults
 
 # Many PLRs at once: as good as those that are built alone, and the same whoever builds them and however often.
 
@@ -177,7 +177,7 @@ def finished(work, tmp_path_factory):
 def test_nothing_is_built_twice(work, family, finished, monkeypatch):
     path, files = finished
     assert files[:2] == files_of(family[:2])
-    monkeypatch.setattr(Done, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
+    monkeypatch.setattr(BuildResults, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
     again = many(work, checkpoint=path)
     assert files_of(again) == files
     x = MAZE.sample_free(20, 0)
@@ -235,13 +235,13 @@ def test_another_release_is_other_work(work, finished, monkeypatch):
 @pytest.mark.parametrize(
     ("functions", "options", "message"),
     [
-        (lambda oracles: [], {}, "at least, got none"),
+        (lambda oracles: [], {}, "at least one distance function, got none"),
         (lambda oracles: 3, {}, "must be a list of distance functions"),
-        (lambda oracles: [oracles[0], 5], {}, "number 1 is 5"),
+        (lambda oracles: [oracles[0], 5], {}, "got 5 at index 1"),
         (list, {"executor": 4}, "executor must be a concurrent.futures.Executor or None, got 4"),
         (list, {"leaf": "cone", "max_bytes": 10}, "too small: one leaf takes"),
         (list, {"seed": -1}, "seed must be"),
-        (list, {"checkpoint": __file__}, "test_construct_many.py is no checkpoint: choose another path"),
+        (list, {"checkpoint": __file__}, "or a new path, got .*test_construct_many.py. Choose another path"),
         (list, {"checkpoint": 3}, "checkpoint must be the path of a file or None, got 3"),
     ],
 )

@@ -13,7 +13,7 @@ from plr_helpers import UNIT, cone, points, random_partition, three_leaves, wall
 from plr_jax import BuildOptions
 from plr_jax.plr import construct
 from plr_jax.plr.faces import face_points, shared_faces
-from plr_jax.plr.finite_elements import design, monomials, nodal_space, numbers_of_leaves
+from plr_jax.plr.finite_elements import coefficient_matrix, design, monomials, nodal_space
 from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import Cells, tree_of
@@ -58,7 +58,7 @@ def test_functions_agree_across_every_tied_face(order, seed, data):
     share = data.draw(st.sampled_from([0.5, 0.9, 1.0]))
     cells = tree_of(random_partition(seed, dim, 25)).leaves
     space, faces = space_of(cells, lambda faces: rng.random(len(faces)) < share, periodic)
-    numbers = numbers_of_leaves(order, space) @ rng.normal(size=len(space.masters))
+    numbers = coefficient_matrix(order, space) @ rng.normal(size=len(space.free_dofs))
     x = face_points(cells, faces, rng.random((1, dim)))[:, 0]
     beyond = x - (x == 1) * np.eye(dim)[faces.axis]
     for derivative in (None, *range(dim if order else 0)):
@@ -182,7 +182,7 @@ def test_values_are_those_of_a_dense_least_squares_fit(order):
     space, fit = space_and_fit(rng.normal(size=(16, 48)))
     weight = rng.random((16, 48))
     values, residual = fit_values(order, space, fit, weight)
-    rows = np.kron(np.eye(16), design(order, (fit.pattern.u + 1) / 2)) @ numbers_of_leaves(order, space).toarray()
+    rows = np.kron(np.eye(16), design(order, (fit.pattern.u + 1) / 2)) @ coefficient_matrix(order, space).toarray()
     root = np.sqrt(weight).ravel()
     expected, *_ = np.linalg.lstsq(rows * root[:, None], fit.value.ravel() * root, rcond=None)
     np.testing.assert_allclose(values, expected, atol=1e-4)
@@ -205,12 +205,12 @@ def test_values_are_rounded_to_the_nearest_within_floats():
     tree = tree_of(three_leaves())
     faces = shared_faces(tree)
     partition = TiedPartition(tree, np.zeros(3, bool), faces, np.ones(len(faces), bool))
-    values = np.random.default_rng(0).normal(size=len(partition.space.masters))
-    stored = StoredValues.rounded(partition, values, 0.1)
+    values = np.random.default_rng(0).normal(size=len(partition.space.free_dofs))
+    stored = StoredValues.quantize(partition, values, 0.1)
     assert np.abs(stored.decode() - values).max() <= 0.05 + 1e-6
     np.testing.assert_allclose(stored.step, 0.1, rtol=1e-6)
     with pytest.raises(ValueError, match="scale them down"):
-        StoredValues.rounded(partition, np.full(len(values), 1e31), 1.0)
+        StoredValues.quantize(partition, np.full(len(values), 1e31), 1.0)
 
 
 def test_a_face_on_the_edge_of_a_wall_is_not_free():

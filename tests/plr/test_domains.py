@@ -154,16 +154,16 @@ def test_values_in_leaves_are_asked_for_the_nearest_image(plr):
 
 def test_cones_and_proofs_are_refused():
     for options in ({}, {"max_bytes": 500}):
-        with pytest.raises(ValueError, match="Leaves of kind 'cone' hold Euclidean distances"):
+        with pytest.raises(ValueError, match="Leaves of kind 'cone' need Euclidean distances"):
             construct(Euclidean(GOAL), CYLINDER, leaf="cone", **options)
     oracle = VisibilityGraph(Workspace(UNIT), (0.5, 0.5))
     cones = construct(oracle, UNIT, leaf="cone", max_leaves=5)
     domain = Box((0, 0), (1, 1), periodic=(True, False))
-    with pytest.raises(ValueError, match="Use continuous ones or planes"):
+    with pytest.raises(ValueError, match="Use continuous leaves or planes"):
         from_bytes(encode(replace(cones._contents, domain=domain)))
-    with pytest.raises(ValueError, match="the plane, which has no periodic axis"):
+    with pytest.raises(ValueError, match="A proof needs Euclidean distances, without periodic axes"):
         construct(oracle, domain, certified=True)
-    with pytest.raises(ValueError, match="Build the PLR without one"):
+    with pytest.raises(ValueError, match="Build the PLR without a proof"):
         certify(construct(oracle, domain, max_leaves=10), oracle)
 
 

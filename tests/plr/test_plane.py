@@ -40,7 +40,7 @@ def test_what_is_no_model_is_refused(make, wrong, message):
 def test_coefficients_of_planes_are_planes(leaf, dim):
     model, rng = leaf_model(leaf), np.random.default_rng(0)
     center, half, u = rng.normal(size=5), rng.normal(size=(5, dim)), rng.uniform(-1, 1, size=(30, dim))
-    coefficients = model.of_planes(center, half)
+    coefficients = model.coefficients_of_planes(center, half)
     np.testing.assert_allclose(coefficients @ model.basis(u).T, center[:, None] + half @ u.T, atol=1e-12)
     for found, expected in zip(model.mean_planes(0 * half, half, coefficients), (center, half), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -102,7 +102,7 @@ def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
     sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
     patterns = [sampling.sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
     sampler = sampling.Sampler(sliver, LINE, None, *patterns, 14)
-    few, many = sampler(Cells.root(1)), sampler.densely(Cells.root(1))
+    few, many = sampler(Cells.root(1)), sampler.sample_densely(Cells.root(1))
     assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
     assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
     assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none
@@ -193,7 +193,7 @@ def test_a_function_of_one_point_is_told_that_it_is_called_with_many(one_point):
     with pytest.raises((TypeError, ValueError)) as caught:
         sampling.call_oracle(one_point, np.zeros((5, 2)))
     assert caught.value.__notes__ == [
-        "distance_fn was called with points (n, dim) = (5, 2), and must answer distances (n,)."
+        "distance_fn must return distances (n,) for points (n, dim); it was called with shape (5, 2)."
     ]
     with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with a batch of points \(5, dim\)"):
         sampling.call_oracle(np.linalg.norm, np.zeros((5, 2)))

@@ -8,7 +8,7 @@ from plr_helpers import contents_of_planes, random_partition
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
-from plr_jax.plr.faces import face_points, overlapping_leaves, parents_of_corners, shared_faces
+from plr_jax.plr.faces import corner_parents, face_points, overlapping_leaves, shared_faces
 from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.tree import Cells, corner_bits, tree_of
@@ -56,7 +56,7 @@ def test_faces_are_those_found_by_comparing_all_boxes(seed, dim, wraps):
 def test_a_corner_is_the_middle_of_its_parents(seed, dim):
     tree = tree_of(random_partition(seed, dim, 20))
     cells = tree.leaves
-    ends, is_made = parents_of_corners(tree)
+    ends, is_made = corner_parents(tree)
     corner = ((cells.position[:, None] + corner_bits(dim)) * 0.5 ** cells.depth[:, None]).reshape(-1, dim)
     middle = corner[ends].mean(axis=2)
     np.testing.assert_array_equal(middle[is_made], corner.reshape(*is_made.shape, dim)[is_made])

@@ -146,5 +146,5 @@ def test_a_proof_made_afterwards_tells_the_oracle(oracle, plr):
     assert proven.updated(oracle).max_error == pytest.approx(proven.max_error, rel=0.3)
     with pytest.raises(ValueError, match=r"max_bytes=3\d\d is too small: one leaf takes"):
         proven.with_label("x" * 290).updated(oracle, max_bytes=310)
-    with pytest.raises(ValueError, match="leaves no room beside the label"):
+    with pytest.raises(ValueError, match="must exceed the label's"):
         proven.with_label("x" * 290).updated(oracle, max_bytes=10)

@@ -1,6 +1,6 @@
-"""Leaf models: what function each leaf holds.
+"""Leaf models: the kinds of functions that leaves can hold, with their names and codes in files.
 
-Their names and the codes of their files stand here, once, and what other rooms need of cones and of tied leaves.
+Other rooms import cones and continuous leaves from here.
 """
 
 from plr_jax._arrays import shortened
@@ -12,42 +12,39 @@ from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
 from plr_jax.plr.leaves.cone.search import FamilyTask as FamilyTask
 from plr_jax.plr.leaves.cone.search import family_task as family_task
 from plr_jax.plr.leaves.cone.update import ConeLeaves as ConeLeaves
-from plr_jax.plr.leaves.cone.update import PricedNodes as PricedNodes
+from plr_jax.plr.leaves.cone.update import NodeCosts as NodeCosts
 from plr_jax.plr.leaves.cone.update import updated_cones as updated_cones
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
 from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
 from plr_jax.plr.leaves.plane import Plane
 
-# In the order of their codes.
+# The index of a model is its code in files.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())
 
 
 def leaf_names() -> list[str]:
-    """What ``construct(leaf=...)`` calls the leaf models of this release."""
     return [model.name for model in _MODELS]
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
-    """The leaf model that is meant; raises ``ValueError`` if there is none of that name."""
+    """Return the leaf model of a name; ``ValueError`` if there is none."""
     models = {model.name: model for model in _MODELS}
     if isinstance(leaf, str) and leaf in models:
         return models[leaf]
-    if isinstance(leaf, LeafModel) and leaf.name in models:  # or no file could name it
+    if isinstance(leaf, LeafModel) and leaf.name in models:  # files store the name's code
         return leaf
     names = ", ".join(map(repr, models))
     raise ValueError(f"leaf must be a leaf model or its name, one of {names}, got {shortened(leaf)}.")
 
 
 def code_of_leaf(leaf: LeafModel) -> int:
-    """The code by which a file names a leaf model."""
     return next(code for code, model in enumerate(_MODELS) if model.name == leaf.name)
 
 
 def leaf_of_code(code: int) -> LeafModel:
-    """The leaf model that a file names; raises ``ValueError`` if this release has none of that code."""
     if code == PAIRS_CODE:
-        raise ValueError("it holds the distance between any two points; use load")
+        raise ValueError("it is a file of distances between any two points; read it with load")
     if code >= len(_MODELS):
         raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
     return _MODELS[code]

@@ -1,4 +1,4 @@
-"""What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
+"""The interface of leaf models, which define the functions of leaves: how to fit, store, evaluate and bound them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -19,8 +19,6 @@ from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 
 class Rules(NamedTuple):
-    """SHOULDSPLIT and SPLIT of Algorithm 1."""
-
     should_split: ShouldSplitRule
     split: SplitRule
 
@@ -30,55 +28,46 @@ UNIT = 2.0**-24
 
 
 class LeafModel(ABC):
-    """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
+    """A kind of leaf, immutable and hashable, since compiled queries are cached by it.
 
-    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
-    value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
-    gives back. What is abstract every model has to define; the others are defaults that it may override.
+    A leaf's function follows from its box and its *coefficients*; a first coefficient of ``inf`` makes the value
+    ``inf``. The *stored* form of all leaves is an object that only the model itself interprets: ``write`` puts it
+    into a file, ``read`` returns it. Queries read the *parameters* of a leaf.
 
     Attributes:
-        name: What ``construct(leaf=...)`` calls it.
-        num_samples: Samples of a cell, unless others are asked for.
-        least_bytes: Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction.
-        has_deep_trees: Whether small trees are deep, for which a query's tables have pages: see ``plr/tables.py``.
-        is_of_cells: Whether its functions are of the place in a cell, whose own numbers then stand before the others.
-            Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
+        name: Name for ``construct(leaf=...)``.
+        num_samples: Default number of samples in a cell.
+        least_bytes: Least number of bytes of a leaf in a file, a power of two that may be a fraction.
+        has_deep_trees: Whether small files may have deep trees, so that query tables need pages (see
+            ``plr/tables.py``).
+        is_cell_relative: Whether functions take local coordinates in the cell. The first ``dim`` parameters are then
+            the numbers of the cell: along each axis 1 is the domain, and ``2 i`` and ``2 i + 1`` are the halves of
+            ``i``.
     """
 
     name: str
     num_samples: int = 96
     least_bytes: int | float = 1
     has_deep_trees: bool = False
-    is_of_cells: bool = False
-
-    # How it is fitted.
+    is_cell_relative: bool = False
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
-        """Grow a partition: its tree, and what is stored of the leaves in the order of the tree's traversal."""
+        """Grow a partition; return its tree, and the stored form of its leaves in the tree's order."""
         ...
-
-    # How it is stored.
 
     @abstractmethod
-    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
-        """Append what a file keeps of the leaves."""
-        ...
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None: ...
 
     @abstractmethod
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
-        """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
+        """Read what :meth:`write` appended; ``ValueError`` describes damaged data."""
         ...
 
     @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients of every leaf's function.
-
-        A leaf without a function, as nothing of it reaches the goal, has ``inf`` first and zeros after it.
-        """
+        """Return the coefficients of every leaf: ``inf``, then zeros, if nothing in it reaches the goal."""
         ...
-
-    # How it is evaluated.
 
     @abstractmethod
     def values(
@@ -88,32 +77,33 @@ class LeafModel(ABC):
         coefficients: Float[np.ndarray, "n terms"],
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, which have boxes and finite coefficients, one a point."""
+        """Return values at points, one for each leaf; coefficients are finite."""
         ...
 
     @abstractmethod
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, of slope 0."""
-        ...
+        """Return the numbers that a query reads for every leaf, for coordinates relative to ``corner``.
 
-    @abstractmethod
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """The value at a place, by operations whose order is part of the format: see ``plr/portable``.
-
-        Args:
-            numbers: Those of the leaf, without the ones of its cell; arrays, scalars or text of a program.
-            place: Along each axis, from 0 to 1 in the leaf's cell or, unless it ``is_of_cells``, how far from the
-                domain's rounded lower corner.
-            root: The square root.
+        Leaves whose first coefficient is ``inf`` get the value ``inf`` and slope 0.
         """
         ...
 
-    # How well that is known, for proofs.
+    @abstractmethod
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """Return the value at one place; the order of operations is part of the format (see ``plr/portable``).
+
+        Args:
+            parameters: Parameters of the leaf, without the numbers of its cell: arrays, scalars or generated code.
+            place: Coordinates, from 0 to 1 in the leaf's cell if the model ``is_cell_relative``, else relative to the
+                domain's rounded lower corner.
+            root: The square root function.
+        """
+        ...
 
     @abstractmethod
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -122,34 +112,28 @@ class LeafModel(ABC):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
+        """Bound cones ``offset + |x - apex|`` minus leaf functions from below and above, over convex pieces."""
         ...
 
     @abstractmethod
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
+        """Bound the difference between a 32-bit query at a point of any precision and each leaf's function."""
         ...
 
-    # What follows.
-
-    def num_numbers(self, dim: int) -> int:
-        """How many :attr:`numbers` a query reads of a leaf: as of a value and one more along each axis."""
+    def num_leaf_parameters(self, dim: int) -> int:
         return 1 + dim
 
     def check_dim(self, dim: int) -> None:  # noqa: B027
-        """Raise ``ValueError`` if the model is not for so many axes; it is for any."""
+        """Raise ``ValueError`` if the model does not support domains of ``dim`` axes."""
 
-    def least_samples(self, dim: int) -> int:
-        """Samples of a cell that determine its function, at the least."""
-        return self.num_numbers(dim)
+    def min_samples(self, dim: int) -> int:
+        """Return the least number of samples that determine a cell's function."""
+        return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Bytes that so many leaves count without a budget: they may be as deep as in a file of that size.
-
-        Their own file may be smaller, and its class give fewer slots than they then need.
-        """
+        """Return the size of a file, without a byte budget, that determines the largest depth of its tree."""
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(
@@ -158,7 +142,7 @@ class LeafModel(ABC):
         hi: Float[np.ndarray, "leaves dim"],
         coefficients: Float[np.ndarray, "leaves terms"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf: value at the center, half-differences between opposite faces' centers."""
+        """Return a plane for each leaf: value at the center, and half-differences between opposite face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
@@ -168,22 +152,19 @@ class LeafModel(ABC):
 
 
 class LinearLeafModel(LeafModel):
-    """Leaves whose functions are linear in their coefficients, so that they can be refined.
+    """A leaf model whose functions are linear in their coefficients, so that they can be refined.
 
-    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
-    ``basis(u) @ coefficients``.
+    In local coordinates ``u`` (``[-1, 1]`` along every axis) a function is ``basis(u) @ coefficients``.
     """
 
     @abstractmethod
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-        """What the coefficients multiply at local coordinates ``u``."""
-        ...
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]: ...
 
     @abstractmethod
-    def of_planes(
+    def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
+        """Return coefficients of leaves that hold planes, given by center values and half-differences."""
         ...
 
     def values(
@@ -193,13 +174,11 @@ class LinearLeafModel(LeafModel):
         coefficients: Float[np.ndarray, "n terms"],
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, one a point."""
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
     def mean_planes(
         self, lo: Any, hi: Any, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf."""
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
@@ -215,7 +194,7 @@ def check_limits(
     proof: Proof,
     frame_bytes: int,
 ) -> Limits:
-    """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
+    """Check the limits given to :func:`construct`, and replace every None by its default."""
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),
@@ -251,8 +230,6 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Largest coordinate of a point that a query rounds to 32 bits, along each axis.
-
-    Where the domain is far from the origin, points are counted from a corner before.
-    """
+    """Return the largest absolute coordinate that a query rounds to 32 bits, along each axis."""
+    # Far from the origin, queries subtract a corner before they round.
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -1,4 +1,9 @@
-"""Values at the corners of leaves, tied across free faces, all fitted at once."""
+"""Continuous and smooth leaves: functions that do not jump across free faces.
+
+The values at the corners of all leaves are the unknowns, shared by leaves on both sides of a free face. In each round
+the worst leaves are split and one sparse least-squares problem fits all values again. Files store the values as
+integers, each relative to a prediction from coarser ones.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +23,15 @@ from plr_jax.plr.finite_elements import (
     MAX_DIM_OF_ORDER,
     POWERS,
     NodalSpace,
+    coefficient_matrix,
     design,
     enclosing_planes,
     monomials,
     nodal_space,
-    numbers_of_leaves,
-    numbers_of_planes,
+    plane_coefficients,
 )
 from plr_jax.plr.frame import LARGEST, Corner
-from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_open, least_priority
+from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority
 from plr_jax.plr.leaves.base import (
     UNIT,
     LinearLeafModel,
@@ -39,15 +44,17 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_RESIDUAL, _MOST_STEPS = 1e-10, 200  # of conjugate gradients
+# Conjugate gradients: relative residual, and number of steps after which a direct solver takes over.
+_RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
-    """Solve equations whose matrix is symmetric and positive definite.
+    """Solve normal equations with a sparse symmetric positive definite matrix.
 
-    In up to two dimensions by its factors. In more of them factors fill in far more than the matrix holds, so there
-    by conjugate gradients, to a relative residual of 1e-10, and by factors only if that takes long. Where samples
-    determine all values, the matrix divided by its diagonal is well conditioned, whatever the sizes of leaves.
+    Up to 2 dimensions: by sparse factorization. In more dimensions factors fill in far more than the matrix, so
+    conjugate gradients with Jacobi scaling come first, to a relative residual of 1e-10. If they do not converge,
+    factorization follows. Scaled by its diagonal, the matrix is well conditioned whatever the sizes of the leaves, as
+    long as samples determine all values.
     """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import cg, splu
@@ -58,23 +65,20 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
         values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
         if not failed:
             return scale * values
-    # Without pivoting, the factors of such a matrix fill in a quarter as much.
+    # Without pivoting, the factors of such a matrix have a quarter of the entries.
     options = {"SymmetricMode": True}
     factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return factors.solve(moments)
 
 
-_NUM_POINTS = 32
-_FEW = 4  # points that most free faces need
-_BESIDE = 1e-6  # how far from a face its two sides are, in fractions of the domain: well within the smallest cell
-_INSET = 0.998  # keeps the points off the ends of a face, which belong to other faces too
+_NUM_POINTS = 32  # points that test a face
+_FEW = 4  # points tested first; they suffice for most free faces
+_BESIDE = 1e-6  # distance of test points from the face, in fractions of the domain: far below the smallest cell
+_INSET = 0.998  # keeps test points off the ends of a face, which other faces share
 
 
 class FaceTests:
-    """Whether faces are free; each is tested once, however often it is asked about.
-
-    A piece of a face is free if somewhere on it both sides can be reached.
-    """
+    """A cached test of faces; a face is free if the goal can be reached from both sides of one of its points."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -82,16 +86,15 @@ class FaceTests:
         self._known: dict[bytes, bool] = {}
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
-        """Whether each face is free: both sides can be reached at one of its points or more."""
         domain = self._domain
         geometry = np.concatenate(
             [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
         )
-        geometry = np.column_stack([geometry, faces.axis])  # a cell may share faces with itself along several axes
+        geometry = np.column_stack([geometry, faces.axis])  # a cell may share several faces with itself
         keys = [row.tobytes() for row in geometry]
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
-        # Fractions of a face; along its own axis, whichever that is, it has no width.
+        # Test points as fractions of a face. face_points ignores the coordinate along the face's own axis.
         points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(~free)
@@ -107,11 +110,8 @@ class FaceTests:
         return np.array([self._known[key] for key in keys], bool)
 
 
-# Leaves as polynomials of the place in their cells.
-
-
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Horner's rule along the first coordinate, whose coefficients are polynomials of the others."""
+    """Evaluate a polynomial at ``t`` by Horner's rule; coefficients are by powers of ``t``, the last axis fastest."""
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
@@ -124,7 +124,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """Leaves, the faces they share, and across which of them functions are continuous: none of unreachable ones."""
+    """A partition with functions that are continuous across ``tied`` faces, which join reachable leaves only."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -133,62 +133,58 @@ class TiedPartition:
 
     @cached_property
     def space(self) -> NodalSpace:
-        """The continuous functions on these leaves."""
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
-    def between_reachable(self) -> Bool[np.ndarray, "faces"]:
-        """Which faces may be tied."""
+    def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
+        """Return which faces lie between two reachable leaves."""
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 
 @dataclass(frozen=True, eq=False)
 class StoredValues:
-    """Values of the masters as integers of one step: ``offset + step * code``."""
+    """Values of the free degrees of freedom as a file stores them: ``offset + step * code``."""
 
     partition: TiedPartition
     offset: float
     step: float
-    code: Int[np.ndarray, "masters"]
+    code: Int[np.ndarray, "free_dofs"]
 
     @staticmethod
-    def rounded(partition: TiedPartition, values: Float[np.ndarray, "masters"], step: float) -> "StoredValues":
-        """The nearest that can be stored; the step as a 32-bit float."""
+    def quantize(partition: TiedPartition, values: Float[np.ndarray, "free_dofs"], step: float) -> "StoredValues":
         if np.abs(values).max(initial=0.0) > LARGEST:
             raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
         offset, step = float(np.float32(values.mean())), float(np.float32(step))
         return StoredValues(partition, offset, step, np.rint((values - offset) / step).astype(np.int64))
 
     @staticmethod
-    def of_corners(
+    def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values of at least 0 at the corners of leaves, to such values; hanging corners follow from others."""
+        """Round nonnegative values at leaf corners; results stay nonnegative, values at hanging corners are
+        ignored.
+        """
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
-        stored = StoredValues.rounded(partition, of_group[space.masters], step)
+        stored = StoredValues.quantize(partition, of_group[space.free_dofs], step)
         return replace(stored, code=np.maximum(stored.code, int(np.ceil(-stored.offset / stored.step))))
 
-    def decode(self) -> Float[np.ndarray, "masters"]:
-        """The values."""
+    def decode(self) -> Float[np.ndarray, "free_dofs"]:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append ties and values."""
+        """Append ties and values; values level by level, each as its difference from its prediction."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
-        body.write_set(~partition.tied[partition.between_reachable()])
+        body.write_set(~partition.tied[partition.may_be_tied()])
         surplus = self.code - np.rint(space.prediction @ self.code).astype(np.int64)
         for level in _level_slices(space.level):
             body.write_signed(surplus[level])
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """The next ties and values of leaves in a domain of ``periodic`` axes.
-
-    Raises ``ValueError`` saying what is wrong with them.
-    """
+    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
@@ -197,42 +193,38 @@ def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) 
         raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
     faces = shared_faces(tree, periodic)
     partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
-    may_be_tied = partition.between_reachable()
+    may_be_tied = partition.may_be_tied()
     partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))
     space = partition.space
-    code = np.zeros(len(space.masters), np.int64)
+    code = np.zeros(len(space.free_dofs), np.int64)
     for level in _level_slices(space.level):
         surplus = body.read_signed(level.stop - level.start)
         code[level] = surplus + np.rint(space.prediction[level] @ code).astype(np.int64)
     return StoredValues(partition, offset, step, code)
 
 
-def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:
-    """Runs of masters of one level, which depend on earlier ones alone."""
+def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
-_MOST_SPLIT = 0.5  # of the leaves in one round, before all are fitted again
-_ROUNDS_TO_END = 64  # a round splits at least one in so many leaves, while the limits allow
-# Between the largest error (0) and the mean error (1): a cell counts by its volume to this power.
+_MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
+_ROUNDS_TO_END = 64  # a round splits at least one leaf in this many, while the limits allow
+# Split priority is error * volume**power: power 0 aims at the largest error, 1 at the mean error.
 _VOLUME_POWER = 0.25
-# Values are rounded to multiples of this times the mean error: bits for leaves rather than for digits.
+# Values are rounded to this multiple of the mean error: bytes serve the error better as leaves than as digits.
 _STEP_PER_MEAN_ERROR = 1.0
-_SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
-# How much a value that differs from what coarser ones predict counts beside a cell's samples: it decides only where
-# samples do not, in a wall.
+_SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
+# Weight of the difference between a value and its prediction from coarser values, relative to the samples of a cell.
+# So small that it only decides values that no sample determines, inside walls.
 _PREDICTION_WEIGHT = 1e-7
-_MOST_DIM_OF_FACTORS = 2  # beyond, factors of a sparse matrix fill in
-_UNPREDICTED = 1e-3  # of that, for the corners of the domain, which only differ from the mean
+_MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
+_UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the domain to the mean value
 
 
 @dataclass(frozen=True, eq=False)
-class _Fitted:
-    """A partition with its continuous function; as long as it has leaves.
-
-    ``fit`` has the samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
-    """
+class _FittedPartition:
+    """A partition with its fitted function, whose residuals are in ``fit``; the length is the number of leaves."""
 
     fit: CellFit
     stored: StoredValues
@@ -243,27 +235,23 @@ class _Fitted:
 
 
 def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> StoredValues:
-    """Split and fit in rounds, smaller ones at the end, up to the limits.
-
-    Raises:
-        BudgetTooSmall: If the budget of bytes is too small for one leaf.
-    """
+    """Grow a partition in rounds; each round splits leaves and fits the whole function again."""
     rounds = _Rounds(order, sampler, rules, limits)
-    root = rounds.fitted(sampler.root())
+    root = rounds.fit_leaves(sampler.root())
     limits.require_room(root.num_bytes)
     return grow(root, rounds.next, limits).stored
 
 
 class _Rounds:
-    """One construction: what stays the same from round to round, and how many splits the last one may make."""
+    """The rounds of one construction; ``_most`` is the largest number of splits in a round."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
         self._face_tests = FaceTests(sampler.distance_fn, sampler.domain)
         self._most = limits.max_leaves
 
-    def next(self, now: _Fitted) -> _Fitted | None:
-        """Some leaves split, and the function fitted again; None if no more of them fit into the budget."""
+    def next(self, now: _FittedPartition) -> _FittedPartition | None:
+        """Split some leaves and fit again; None if no more leaves fit into the limits."""
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:
@@ -271,20 +259,19 @@ class _Rounds:
             children = self._sampler(now.fit.cells[leaf].split(axis))
             kept = np.setdiff1d(np.arange(len(now)), leaf)
             check_memory(2.0 * (len(kept) + len(children)))
-            grown = self.fitted(now.fit[kept].append(children))
+            grown = self.fit_leaves(now.fit[kept].append(children))
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._most = len(leaf) // 2
             if _ROUNDS_TO_END * self._most < len(now):
                 return None
 
-    def _next_splits(self, now: _Fitted) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
-        """Leaves to split in this round, and the axis of each."""
+    def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
             room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
-        # The better half of what there is room for: errors change as neighbors are split.
+        # Only the better half of the splits that fit: errors change as neighbors are split.
         number = max((room + 1) // 2, len(now) // _ROUNDS_TO_END, 1)
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
         error = np.asarray(self._rules.should_split(fit), float)
@@ -293,18 +280,18 @@ class _Rounds:
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
         leaf, axis = np.zeros((2, 0), np.int64)
-        for start in range(0, len(best), max(number, 1)):  # past those that the limits on depth keep
+        for start in range(0, len(best), max(number, 1)):  # continue past leaves that depth limits exclude
             some = best[start : start + number - len(leaf)] if number else best[:0]
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
-            may_split = is_open(fit.cells[some], axis_of_some, limits)
+            may_split = is_within_depth(fit.cells[some], axis_of_some, limits)
             leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
             if len(leaf) >= number:
                 break
         return leaf, axis
 
-    def fitted(self, fit: CellFit) -> _Fitted:
-        """The function of least squared error on the given leaves, in any order."""
+    def fit_leaves(self, fit: CellFit) -> _FittedPartition:
+        """Fit the continuous function of least squared error to the samples of the given leaves, in any order."""
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
         faces = shared_faces(tree, self._sampler.domain.periodic)
@@ -312,63 +299,64 @@ class _Rounds:
         unreachable = ~np.any(fit.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
-        # Samples as the fit weighs them: cells by the root of their volume, a compromise of errors.
+        # Samples of a cell count by the square root of its volume: a compromise between mean and largest error.
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
-        # Values are rounded about as coarsely as they err.
+        # The rounding step is about the mean error.
         mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
         step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
-        stored = StoredValues.rounded(partition, values, max(step, float(np.finfo(np.float32).tiny)))
+        stored = StoredValues.quantize(partition, values, max(step, float(np.finfo(np.float32).tiny)))
         body = BitWriter()
         stored.write(body)
         num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
-        return _Fitted(replace(fit, residual=residual), stored, num_bytes)
+        return _FittedPartition(replace(fit, residual=residual), stored, num_bytes)
 
 
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves k"]]:
-    """Values of the masters with which the function of the given order errs least at the leaves' samples.
-
-    With them come the errors, sampled distance minus function; 0 where a sample has no weight.
-    """
+) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
+    """Fit the free degrees of freedom to the samples of all leaves; also return the residuals."""
     from scipy.sparse import bsr_array, diags_array
 
-    numbers = numbers_of_leaves(order, space)
+    coefficients = coefficient_matrix(order, space)
     functions = design(order, (fit.pattern.u + 1) / 2)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     each = np.arange(leaves + 1)
     of_leaves = bsr_array(((weight @ products).reshape(-1, terms, terms), each[:-1], each))
-    squares = numbers.T @ (of_leaves @ numbers)
+    squares = coefficients.T @ (of_leaves @ coefficients)
     is_predicted = np.diff(space.prediction.indptr) > 0
     surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
-    values = mean + solve_normal(normal, numbers.T @ moments, fit.cells.dim)
-    errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
+    values = mean + solve_normal(normal, coefficients.T @ moments, fit.cells.dim)
+    errors = fit.value - (coefficients @ values).reshape(leaves, terms) @ functions.T
     return values, np.where(weight > 0, errors, 0.0)
 
 
 @dataclass(frozen=True)
 class Continuous(LinearLeafModel):
-    """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
+    """A leaf model without jumps across free faces: ``"continuous"`` or ``"smooth"`` leaves.
 
-    A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
-    order 1 derivatives there too (see ``plr/finite_elements.py``).
+    A face is free if the goal can be reached from both sides of one of its points; functions may jump across walls.
+    Coefficients are the values at a leaf's corners, for order 1 also the derivatives there.
 
     Args:
-        order: Of continuity: 0 for values, multilinear in every leaf; 1 for gradients too, cubic along every axis.
+        order: 0: continuous values, multilinear in every leaf (``"continuous"``), in at most 6 dimensions. 1:
+            continuous gradients as well, cubic along every axis (``"smooth"``), in 1 or 2 dimensions.
 
     Raises:
-        ValueError: If the order is neither.
+        ValueError: If the order is neither 0 nor 1.
+
+    References:
+        Order 1 is the rectangular element of Bogner, Fox and Schmit, 1965.
     """
 
     order: int = 0
 
-    is_of_cells = True
+    is_cell_relative = True
 
     def __post_init__(self):
         if self.order not in (0, 1):
@@ -376,62 +364,50 @@ class Continuous(LinearLeafModel):
         object.__setattr__(self, "name", ("continuous", "smooth")[self.order])
 
     def check_dim(self, dim: int) -> None:
-        """Raise ``ValueError`` if the model is not for so many axes."""
         if dim > MAX_DIM_OF_ORDER[self.order]:
             raise ValueError(
-                f"Leaves of kind {self.name!r} are for up to {MAX_DIM_OF_ORDER[self.order]} dimensions, got {dim}. "
-                f"Use {'continuous ones or ' if self.order else ''}planes, which may jump, instead."
+                f"Leaves of kind {self.name!r} need a domain of up to {MAX_DIM_OF_ORDER[self.order]} dimensions, "
+                f"got {dim}. Use {'continuous leaves or ' if self.order else ''}planes, which may jump, instead."
             )
 
-    def least_samples(self, dim: int) -> int:
-        """One more than a leaf has corners."""
+    def min_samples(self, dim: int) -> int:
         return 2**dim + 1
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
-        """Grow the partition, all values fitted again in every round."""
         stored = grow_tied(self.order, sampler, rules, limits)
         return stored.partition.tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
-        """Append what the file keeps of the leaves."""
         stored.write(body)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
-        """What :meth:`write` appended."""
         return read_values(body, cells, domain.periodic)
 
     def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
-        """Numbers of every leaf; ``inf``, then zeros, for one without a tied face and a reachable sample."""
-        of_masters = numbers_of_leaves(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
-        terms = of_masters.data * stored.decode()[of_masters.col]  # summed in their order, on any processor alike
-        coefficients = np.bincount(of_masters.row, terms, of_masters.shape[0]).reshape(len(cells), -1)
+        of_free_dofs = coefficient_matrix(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
+        # bincount sums in a fixed order, so that all machines get the same bits.
+        terms = of_free_dofs.data * stored.decode()[of_free_dofs.col]
+        coefficients = np.bincount(of_free_dofs.row, terms, of_free_dofs.shape[0]).reshape(len(cells), -1)
         coefficients[stored.partition.unreachable, 0] = np.inf
         return coefficients
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-        """What the coefficients multiply at local coordinates ``u``."""
         return design(self.order, (u + 1) / 2)
 
-    def of_planes(
+    def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients with which leaves hold planes."""
-        return numbers_of_planes(self.order, center, half)
+        return plane_coefficients(self.order, center, half)
 
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf: the numbers of its cell, and coefficients by powers of the place in it.
-
-        Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``. The exponent
-        of such a number, as a 32-bit float, says how many such intervals span the domain.
-        """
         is_inf = np.isinf(coefficients[:, 0])
         powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
         powers[is_inf, 0] = np.inf
         return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -440,7 +416,6 @@ class Continuous(LinearLeafModel):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Bounds of cones minus polynomials, each of which is a plane but for a remainder, over convex pieces."""
         first, last = pieces.min(axis=2).T, pieces.max(axis=2).T
         width = hi - lo
         value, slope, remainder = enclosing_planes(
@@ -451,10 +426,9 @@ class Continuous(LinearLeafModel):
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
 
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Of the point's place in its cell, and of the polynomial there."""
         finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
         powers = np.abs(finite @ monomials(self.order, cells.dim))
         highest = POWERS[self.order]
@@ -462,10 +436,8 @@ class Continuous(LinearLeafModel):
         of_place = (highest - 1) * np.ldexp(1.0, cells.depth) @ places
         return 1.02 * UNIT * powers.sum(axis=1) * (2 * highest * cells.dim + 1 + of_place)
 
-    def num_numbers(self, dim: int) -> int:
-        """Those of the cell, and coefficients by powers of the place in it."""
+    def num_leaf_parameters(self, dim: int) -> int:
         return dim + POWERS[self.order] ** dim
 
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """The polynomial of the place, by Horner's rule."""
-        return polynomial(POWERS[self.order], numbers, place)
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        return polynomial(POWERS[self.order], parameters, place)

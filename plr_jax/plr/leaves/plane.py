@@ -1,4 +1,4 @@
-"""A plane in every leaf, each fitted to its own samples: the paper's model."""
+"""Plane leaves: one plane in every leaf, fitted to its own samples, the model of the paper."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,29 +20,22 @@ from plr_jax.plr.leaves.base import (
     Rules,
     largest_coordinates,
 )
-from plr_jax.plr.sampling import CellFit, Sampler, with_unseen_planes
+from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
-# Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.
+# The file format of planes: 32-bit floats, or integer multiples of one step.
 #
-# In the local coordinates of its cell (``[-1, 1]`` along every axis) a plane is its value at the center and its
-# half-differences, ``L(u) = center + half . u``. As integers, all are multiples of one ``step``. A half-difference
-# shrinks with its cell, so one at depth ``d`` along an axis needs ``d`` bits fewer: the file keeps a width for each
-# axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` anywhere in its cell.
+# In the local coordinates of its cell (``[-1, 1]`` along every axis) a plane is ``center + half . u``: its center
+# value and its half-differences. As integers, the value is ``offset + step * center + step * half . u``.
+# Half-differences shrink with their cell, so the file has one bit width for each axis and depth. Rounding moves a
+# plane by at most ``(1 + dim) * step / 2`` in its cell. The bits are:
 #
-# What a file keeps of the leaves, as bits:
-#
-#     bits of a center value, in 6 bits; 32 means 32-bit floats
-#     offset and step as 32-bit floats; nothing where the centers are floats
-#     for every axis, for every depth from 0 to the deepest of the leaves along it: the width of a half-difference in
-#     6
-#       bits
-#     center of every leaf; all bits set (floats: inf) mark a leaf without a reachable sample
-#     for every axis, the half-difference of every other leaf: a two's-complement number (or a float's bit pattern) of
-#       the width that belongs to the leaf's depth along the axis
-#
-# A plane is ``offset + step * center + step * half . u``.
-
+#     bits of a center value, 6 bits; 32 means floats
+#     offset and step as 32-bit floats, except for floats
+#     for every axis and every depth up to the deepest leaf's: bit width of a half-difference, 6 bits
+#     center of every leaf; all bits set (for floats inf) mark a leaf without a reachable sample
+#     for every axis: half-difference of every other leaf, in two's complement (or a float's bits), in the width of
+#       the leaf's depth along that axis
 
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
@@ -52,11 +45,7 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes exactly as in the file; a query's tables are derived from nothing else.
-
-    Center and half-differences are codes of so many bits, the latter with a sign; of floats the bit patterns, with
-    offset 0 and step 1. ``unreachable_code`` marks a leaf none of whose samples reaches the goal.
-    """
+    """Planes as integer codes, or as bit patterns of floats, exactly as in the file."""
 
     bits: int
     offset: float
@@ -66,11 +55,10 @@ class StoredPlanes:
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Which leaves have no sample that reaches the goal."""
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Bits of a half-difference, its sign included, by axis and depth; 0 where all are zero."""
+        """Return the bit widths of half-differences, by axis and depth; 0 where all are zero."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -80,7 +68,6 @@ class StoredPlanes:
         return widths
 
     def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Center values (``inf`` for unreachable leaves) and half-differences, in the unit of distance."""
         if self.bits == FLOAT_BITS:
             return floats_of_bits(self.center), floats_of_bits(self.half)
         center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
@@ -88,14 +75,13 @@ class StoredPlanes:
 
 
 def unreachable_code(bits: int) -> int:
-    """The center that marks an unreachable leaf: for floats the bit pattern of ``inf``."""
     return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
 
 
 def encode_planes(
     center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> StoredPlanes:
-    """Round planes to what a file holds; a center of ``inf`` marks an unreachable leaf."""
+    """Round planes to their file form; a center of ``inf`` marks an unreachable leaf."""
     reachable = np.isfinite(center)
     if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
@@ -111,10 +97,7 @@ def encode_planes(
 def _offset_and_step(
     center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> tuple[float, float]:
-    """Smallest center and the step that spans the largest, both exact in float32 so that a file holds them.
-
-    A step is not so small that a half-difference would need more than ``bits + 9`` bits.
-    """
+    """Return an offset and a step, exact in 32 bits, for which half-differences take at most ``bits + 9`` bits."""
     offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
     spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
     step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
@@ -126,7 +109,6 @@ def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
 
 
 def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
-    """Append planes of leaves of the given depths."""
     widths, stored = planes.widths(depth), ~planes.unreachable
     body.write(np.array([planes.bits]), _BITS_BITS)
     if planes.bits != FLOAT_BITS:
@@ -140,7 +122,7 @@ def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: 
 
 
 def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
-    """The next planes, of leaves of the given depths; raises ``ValueError`` saying what is wrong with them."""
+    """Read what :func:`write_planes` appended; ``ValueError`` describes damaged data."""
     bits, offset, step = int(body.read_alike(1, _BITS_BITS)[0]), 0.0, 1.0
     if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {bits}-bit values")
@@ -162,7 +144,6 @@ def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> Stored
 
 
 def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
-    """How many bits ``write_planes`` appends."""
     stored = ~planes.unreachable
     bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
     for axis, widths in enumerate(planes.widths(depth)):
@@ -170,20 +151,22 @@ def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> i
     return int(bits)
 
 
-_BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
+_BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte budget
 
 
 @dataclass(frozen=True)
 class Plane(LinearLeafModel):
-    """Planes, which may jump from leaf to leaf. Coefficients: value at a leaf's center, half-differences.
+    """A leaf model with one plane in every leaf, ``"plane"``; functions may jump between leaves.
+
+    Coefficients are the value at a leaf's center, then its half-differences.
 
     Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
-            half-differences need fewer. None: 32 without ``max_bytes``; with it, those from 8 to 16 with which
-            the expected error, of the fit and of the rounding together, is least.
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, whose
+            half-differences take fewer bits. None: 32 without ``max_bytes``; with it, the number from 8 to 16 with
+            the smallest expected error of fit and rounding.
 
     Raises:
-        ValueError: If the bits are none of these.
+        ValueError: If the number of bits is not allowed.
     """
 
     coefficient_bits: int | None = None
@@ -193,9 +176,9 @@ class Plane(LinearLeafModel):
     least_bytes = 2
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
+        """Return the bytes of the coefficients, but at least 32 KB.
 
-        In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
+        In the plane, 32 KB allow 9 halvings along an axis. Deeper cells next to the goal have smaller errors.
         """
         return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
@@ -209,13 +192,12 @@ class Plane(LinearLeafModel):
             )
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes]:
-        """Grow the partition best-first, each leaf's plane fitted once."""
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            fit = with_unseen_planes(fit, sampler)
+            fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
             if by_proof and sampler.memory is not None:
                 planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
@@ -233,7 +215,6 @@ class Plane(LinearLeafModel):
             return limits.file_size(nodes.cells.dim, len(leaf), num_bits)
 
         def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-            """Of rounding center and half-differences to a multiple of the step."""
             return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
 
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
@@ -243,37 +224,31 @@ class Plane(LinearLeafModel):
         return tree, stored(nodes, leaf[tree.order], bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
-        """Append what the file keeps of the leaves."""
         write_planes(body, cells.depth, stored)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
-        """What :meth:`write` appended."""
         return read_planes(body, cells.depth)
 
     def coefficients(self, cells: Cells, stored: StoredPlanes) -> Float[np.ndarray, "leaves terms"]:
-        """Center values, ``inf`` for unreachable leaves, and half-differences."""
         return np.column_stack(stored.decode())
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-        """What the coefficients multiply at local coordinates ``u``."""
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
 
-    def of_planes(
+    def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients of planes."""
         return np.column_stack([center, half])
 
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Its plane's value at the corner, and its slopes."""
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - corner
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -282,22 +257,19 @@ class Plane(LinearLeafModel):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Extremes of cones minus planes, over convex pieces."""
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
-        terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
-        return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
+        parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
+        terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
+        return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))
 
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """The value at the corner, to which a product is added axis by axis."""
-        value, *slopes = numbers
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        value, *slopes = parameters
         for slope, along in zip(slopes, place, strict=True):
             value = value + slope * along
         return value

@@ -122,7 +122,7 @@ class Program:
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
         of_leaves, numbers = counted_from(contents, origin)
-        self.numbers = numbers.astype(np.float32)[:, self.dim * self.leaf.is_of_cells :]
+        self.numbers = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(of_leaves)
         self.window: list[list[Value]] = list(map(list, table_corners(domain.moved(-origin))))
         self.periods, self.wide_periods = {}, {}
@@ -195,7 +195,7 @@ class Program:
 
         If it is of cells, how many there are along each axis, and which it is, come first.
         """
-        if not self.leaf.is_of_cells:
+        if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, above, do.root)
         in_cell = []
         for axis, along in enumerate(above):

@@ -57,7 +57,7 @@ def c_header(program: Program, name: str) -> str:
     dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
     rows, row_of_leaf = distinct_rows(program.numbers)
     tree = CodedTree(program.contents.tree, row_of_leaf)
-    has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_of_cells
+    has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_cell_relative
 
     # 1. What the header is, and what it includes.
     guard = f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share

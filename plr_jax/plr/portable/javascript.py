@@ -120,7 +120,7 @@ def js_module(program: Program) -> str:
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
-            *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_of_cells),
+            *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_cell_relative),
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",
@@ -151,7 +151,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
             counts = [text for axis in range(dim) for text in (f"count[{axis}]", f"f(cell[{axis}])")]
         do.statements.append(f"const n = {row};")
         numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
-        return [do.atom(text) for text in [*counts * program.leaf.is_of_cells, *numbers]]
+        return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
     def value(of_nan: str, others: str) -> tuple[JavaScriptWriter, Expression]:
         """A function as far as its value, given what it answers for NaN, and else outside."""
@@ -161,7 +161,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
     do, answer = value("NaN", "Infinity")
     do.statements.append(f"return {answer};")
-    lines = _descent(tree, program.leaf.is_of_cells) if has_tree else []
+    lines = _descent(tree, program.leaf.is_cell_relative) if has_tree else []
     lines += function("export function distance(x)", do.used_statements())
     if isinstance(program.leaf, Cone):
         do, nowhere = JavaScriptWriter(), [f"return [{', '.join(['NaN'] * dim)}];"]

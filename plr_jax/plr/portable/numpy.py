@@ -236,7 +236,7 @@ class NumpyPLR:
         self.num_leaves = len(cells)
         self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
         numbers = program.numbers
-        if program.leaf.is_of_cells:  # how many cells span the domain along each axis, and which it is
+        if program.leaf.is_cell_relative:  # how many cells span the domain along each axis, and which it is
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
             numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
         self._columns = np.ascontiguousarray(numbers.T)

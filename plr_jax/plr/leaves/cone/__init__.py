@@ -1,1 +1,1 @@
-"""A cone in every leaf: the distance to one source, and on from there."""
+"""Cone leaves: model, file format, search for the best partition, and updates after a change of the map."""

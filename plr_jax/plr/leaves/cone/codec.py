@@ -1,30 +1,28 @@
-"""Cones as they are stored: a small table of sources, and for every leaf which of them is its own.
+"""The file format of cones: a table of sources, and the index of every leaf's source.
 
-Most maps are drawn on a lattice: a grid, two decimals. Sources that lie on it, as corners do, have coordinates that
-are multiples of one fraction; of others, such as a goal, they are multiples of a power of two about ``2**-26`` of the
-domain's width. A source is followed by its *parent*, to which its own shortest path goes next, so its offset, its
-distance to the goal, needs no number: it is that of the parent and the way there. A *root*, such as the goal, has a
-number of its own.
+A *source* is a point to which the shortest paths from a leaf go straight: a corner of an obstacle, or the goal.
+Most maps are drawn on a lattice, such as a grid or two decimals. Corners on the lattice have coordinates that are
+multiples of one fraction. Other sources, such as a goal, are *fine*: multiples of a power of two, about ``2**-26`` of
+the domain's width. Each source names its *parent*, the next point on its shortest path to the goal. So its offset
+(its distance to the goal) is not stored: it is the parent's offset plus the distance to the parent. Only a *root*,
+such as the goal, stores its offset.
 
-What a file keeps of the leaves, as bits:
+The bits in a file:
 
-    number of sources that are not on the lattice, in 20 bits, and if there are some: the exponent of their power of
-      two, plus 2**15, in 16 bits, and their coordinates
-    number of those that are, in 20 bits, and if there are some: the fraction is 1 over a number of 16 bits; and their
-      coordinates
-    which sources are roots, 1 bit each, and their offsets as 32-bit floats
-    parents of the others, each in as many bits as the largest index needs
-    the rank of every leaf's source among those lately used, the latest first (at first they stand in order): for all
-      leaves, is it 0; for the rest, is it 1; for the rest, is it 2, 1 bit each; of what is left by how much it is
-      more than 3, as codes
+    number of fine sources, 20 bits; if there are any: exponent of their power of two plus 2**15, 16 bits; coordinates
+    number of lattice sources, 20 bits; if there are any: inverse of the fraction, 16 bits; coordinates
+    which sources are roots, 1 bit each; offsets of roots, 32-bit floats
+    parents of the other sources, in the bits of the largest index
+    for every leaf, the rank of its source in a move-to-front list that starts in the order of the table:
+      is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest, 1 bit each; then rank - 3 as codes
 
-Coordinates of some sources, which are sorted by them:
+Coordinates of sources, which are sorted by them:
 
-    for every axis the smallest, in steps from the lower corner of the domain: a signed number
-    along the first axis by how much each is above the one before, as codes
-    along every other axis: a width in 6 bits, and in so many bits how much each is above the smallest
+    for every axis: the smallest, in steps from the domain's lower corner, a signed number
+    along the first axis: differences of successive coordinates, as codes
+    along every other axis: a width in 6 bits, and the differences from the smallest, in that width
 
-Signed numbers and codes are as in ``plr/coding.py``.
+``plr/coding.py`` defines signed numbers and codes.
 """
 
 from dataclasses import dataclass
@@ -42,24 +40,21 @@ from plr_jax.plr.growth import Limits
 
 _STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
 _MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
-_LARGEST_SQUARED = 1e18
-_FINE_BITS = 26  # of a coordinate that is not on the lattice
-_FARTHEST = 2.0**60  # steps of the domain's corner from the origin
-_ESCAPE = 3
+_LARGEST_SQUARED = 1e18  # larger numbers overflow when squared in 32 bits
+_FINE_BITS = 26  # bits of a coordinate that is not on the lattice
+_FARTHEST = 2.0**60  # largest distance of the domain's corner from the origin, in steps
+_ESCAPE = 3  # smaller ranks are stored as flags, others as codes
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
 
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Sources as a file keeps them: those that are not on the lattice first, both kinds sorted.
+    """Sources as a file stores them: fine sources first, each kind sorted by coordinates.
 
     Attributes:
-        num_fine: How many are not on the lattice.
-        exponent: Their coordinates are multiples of this power of two.
-        fraction: Those of the others are multiples of 1 over it.
-        code: Coordinates in those steps.
-        parent: The source that follows, its own index for a root.
-        root_offset: Offsets of roots, exact in 32 bits; of others 0.
+        code: Coordinates, for fine sources in steps of ``2**exponent``, for others in steps of ``1 / fraction``.
+        parent: Index of the next source on the way to the goal; a root is its own parent.
+        root_offset: Offsets of roots, exact in 32 bits; 0 for other sources.
     """
 
     num_fine: int
@@ -71,21 +66,19 @@ class StoredSources:
 
     @property
     def is_root(self) -> Bool[np.ndarray, "sources"]:
-        """Which sources have an offset of their own."""
         return self.parent == np.arange(len(self.parent))
 
     @cached_property
     def points(self) -> Float[np.ndarray, "sources dim"]:
-        """Where they are."""
         fine, others = np.split(self.code, [self.num_fine])
         return np.concatenate([fine * 2.0**self.exponent, others / self.fraction])
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "sources"]:
-        """Distance of each to the goal, along its parents; raises ``ValueError`` if they lead in a circle."""
+        """The distance of each source to the goal, along its parents; ``ValueError`` if these form a cycle."""
         onward = self.parent
         length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
-        for _ in range(len(onward).bit_length()):  # twice as far along the parents each time
+        for _ in range(len(onward).bit_length()):  # pointer doubling
             length, onward = length + length[onward], onward[onward]
         if not self.is_root[onward].all():
             raise ValueError("its sources follow one another in a circle")
@@ -94,8 +87,6 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
-    """Cones as a file keeps them: the sources, and which one is each leaf's."""
-
     sources: StoredSources
     source: Int[np.ndarray, "leaves"]
 
@@ -106,18 +97,17 @@ def store_sources(
     parents: Int[np.ndarray, "sources"],
     domain: Box,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Sources as a file can keep them, each once, and the index there of each one given.
-
-    A parent is an index, of another source, or of a root its own.
-    """
+    """Convert sources to their file form, without duplicates; also return the new index of each source."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
-            f"Cones take distances and domains within {_LARGEST_SQUARED:g}, as they are squared in 32 bits, got "
-            f"{largest:g}; scale them down, or use another leaf model."
+            f"Cones need distances and domains within {_LARGEST_SQUARED:g}, as 32-bit queries square them, got "
+            f"{largest:g}. Scale them down, or use another leaf model."
         )
     if len(points) >= 1 << _COUNT_BITS:
-        raise ValueError(f"A file holds fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}.")
+        raise ValueError(
+            f"A file can hold fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}. Use another leaf model."
+        )
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
     fraction, is_fine = _lattice(points, domain, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
@@ -132,11 +122,11 @@ def store_sources(
 def _lattice(
     points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
 ) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """The fraction with which coordinates take the fewest bits, and which of them are no multiples of it."""
-    # As much as a workspace rounds the corners that it is given, and some.
+    """Choose the fraction for which coordinates take the fewest bits; also return which sources are not multiples."""
+    # A little more than workspaces round the corners that they are given.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
-    if not len(fractions):  # a domain so wide that whole numbers are finer than what is kept
+    if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(points), bool)
     scaled = points * fractions[:, None, None]
     is_off = (np.abs(scaled - np.rint(scaled)) > fractions[:, None, None] * rounding).any(axis=2)
@@ -146,7 +136,6 @@ def _lattice(
 
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
-    """Append sources, and every leaf's."""
     _write_sources(body, domain, cones.sources)
     _write_ranks(body, cones.source, len(cones.sources.code))
 
@@ -167,7 +156,7 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"], num_sources: int) -> None:
-    """Rank of each leaf's source among those lately used, 0 for the latest."""
+    """Append the rank of each leaf's source in a move-to-front list, 0 for the source of the leaf before."""
     rank, recent = np.zeros(len(source), np.int64), list(range(num_sources))
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
     for each in source[changes].tolist():
@@ -190,7 +179,7 @@ def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: 
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
-    """The next sources, and those of so many leaves; raises ``ValueError`` saying what is wrong with them."""
+    """Read what :func:`write_cones` appended; ``ValueError`` describes damaged data."""
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_alike(1, _COUNT_BITS)[0])
     if num_fine:
@@ -231,14 +220,12 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> 
 
 
 def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
-    """The lower corner of the domain in steps, from which coordinates are counted."""
     if np.abs(steps).max() > _FARTHEST:
         raise ValueError("it states coordinates in steps that are too small for its domain")
     return np.rint(steps).astype(np.int64)
 
 
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
-    """The source of each leaf, from its rank."""
     rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for each in range(_ESCAPE):
         rest = rest[body.read_alike(len(rest), 1) == 0]
@@ -254,46 +241,39 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
     return latest[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
-# From leaves and the sources that they chose to what a file keeps of them, and its size.
-
-
 class ConeFiles:
-    """What files keep of leaves with given sources, and how large they are.
-
-    Those that leaves name are often the same from file to file: what is kept of them is found once.
-    """
+    """An encoder of cones with given sources; it caches encoded tables, as trees often use the same sources."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
-        self._kept: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
+        self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """What is kept of leaves in the order of the tree's traversal; one without a source, -1, has that before."""
+        """Encode the leaves, in tree order; a leaf without a source (-1) gets the source of the leaf before."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
-        """Bytes of their file, and of a proof if there is to be one."""
+        """Return the size of the leaves' file, including its proof."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source, len(cones.sources.code))
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
 
     def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
-        """What is kept of leaves, and how many bits sources take."""
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
         is_kept, used = np.zeros(len(sources.parents), bool), np.unique(source)
-        while len(used):  # sources, their parents, and so on
+        while len(used):  # add parents, their parents, and so on
             is_kept[used] = True
             used = np.unique(sources.parents[used])
             used = used[~is_kept[used]]
         kept = np.flatnonzero(is_kept)
-        if kept.tobytes() not in self._kept:
+        if kept.tobytes() not in self._cache:
             place = np.searchsorted(kept, np.arange(len(sources.parents)))
             stored, index = store_sources(
                 sources.points[kept], sources.distances[kept], place[sources.parents[kept]], self._domain
             )
             _write_sources(body := BitWriter(), self._domain, stored)
-            self._kept[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
-        stored, index, num_bits = self._kept[kept.tobytes()]
+            self._cache[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
+        stored, index, num_bits = self._cache[kept.tobytes()]
         return StoredCones(stored, index[source]), num_bits

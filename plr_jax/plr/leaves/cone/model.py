@@ -1,4 +1,4 @@
-"""A cone in every leaf: an offset and the distance to a source, which many leaves share."""
+"""Cone leaves: a function ``offset + |x - source|`` in every leaf, with sources that many leaves share."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,14 +27,15 @@ from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import Cells, Tree
 
 _UNDERFLOW = 1.1e-19
-"""The root of the smallest 32-bit float: shorter differences may square to zero."""
+"""Square root of the smallest 32-bit float; the square of a shorter difference may underflow to zero."""
 
 
 @dataclass(frozen=True)
 class Cone(LeafModel):
-    """Cones ``offset + |x - source|``. Coefficients: the offset, the coordinates of the source.
+    """A leaf model with cones ``offset + |x - source|``, ``"cone"``, for Euclidean distances among polygons.
 
-    Away from the lines where the next corner changes, that is what a distance among obstacles is.
+    Such a distance is exactly a cone wherever the next corner of the shortest path does not change. Coefficients are
+    the offset, then the coordinates of the source.
     """
 
     name = "cone"
@@ -42,40 +43,36 @@ class Cone(LeafModel):
     has_deep_trees = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Half a byte each, and what some tens of sources take."""
-        return num_leaves // 2 + 256
+        return num_leaves // 2 + 256  # the constant is for some tens of sources
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones]:
-        """Find the best partition of all, of a distance function that answers for whole cells."""
         _require_euclidean(sampler.domain)
         if sampler.memory is None:
             raise ValueError(
-                "Leaves of kind 'cone' need a distance function in the plane that tells which corners whole cells "
-                f"see, as a VisibilityGraph does, got {shortened(sampler.distance_fn)} in {sampler.domain.dim} "
-                "dimensions. Use leaf='continuous' for any other."
+                "Leaves of kind 'cone' need a distance function in the plane that answers for whole cells, such as "
+                f"VisibilityGraph, got {shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions. Use "
+                "leaf='continuous' for any other."
             )
         if sampler.weight_fn is not None or rules != Rules(largest_error, best_axis):
             raise ValueError(
-                "Leaves of kind 'cone' are chosen by proven errors of whole cells; weight_fn, should_split and split "
-                "are for leaves that are fitted to samples. Leave them out, or use leaf='continuous'."
+                "Leaves of kind 'cone' must not have weight_fn, should_split or split: they are chosen by proven "
+                "errors of whole cells. Leave these options out, or use leaf='continuous'."
             )
         domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
         if not len(visible.cell):
-            sampler.root()  # which says so
+            sampler.root()  # raises the error for this
         run = partial(grow, limits=limits)
         return best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
-        """Append what the file keeps of the leaves."""
         write_cones(body, domain, stored)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCones:
-        """What :meth:`write` appended."""
         _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
     def coefficients(self, cells: Cells, stored: StoredCones) -> Float[np.ndarray, "leaves terms"]:
-        """Offsets and sources: where nothing reaches the goal, a leaf has the source of another one."""
+        """Return offsets and sources; a leaf from which nothing reaches the goal has the source of another leaf."""
         return np.column_stack([stored.sources.offsets, stored.sources.points])[stored.source]
 
     def values(
@@ -85,16 +82,14 @@ class Cone(LeafModel):
         coefficients: Float[np.ndarray, "n terms"],
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, one a point."""
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
 
-    def numbers(
+    def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
-        """The offset, and the source from the corner."""
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
-    def below_cones(
+    def cone_minus_leaf_bounds(
         self,
         lo: Float[np.ndarray, "n 2"],
         hi: Float[np.ndarray, "n 2"],
@@ -103,22 +98,19 @@ class Cone(LeafModel):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Extremes of other cones minus these, over convex pieces."""
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
-    def rounding(
+    def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Of the numbers, of the point, of differences, squares, sums and the root; and of squares that underflow."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
-        along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
-        length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
+        parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
+        along = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
+        length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
-        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
+        return 1.01 * UNIT * (beside + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
-    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """The offset, to which the root is added of the squares of differences, summed axis by axis."""
-        offset, *source = numbers
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
         square, *others = (difference * difference for difference in differences)
         for other in others:
@@ -126,20 +118,20 @@ class Cone(LeafModel):
         return offset + root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """All sources, with their parents, and the index of every leaf's own."""
+        """Return all sources, and the index of every leaf's source."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
-    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
-        """All but the offset."""
-        return numbers[1:]
+    def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
+        """Return the coordinates of the source among the parameters of a leaf."""
+        return parameters[1:]
 
 
 def as_sourced(leaf: LeafModel) -> Cone:
-    """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
+    """Return the leaf model if its leaves have sources; raise ``ValueError`` otherwise."""
     if not isinstance(leaf, Cone):
         raise ValueError(
-            f"Leaves of kind {leaf.name!r} have no sources, so they do not say where to go next. Build the PLR with "
+            f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources. Build the PLR with "
             "leaf='cone', or follow it with descend."
         )
     return leaf
@@ -148,6 +140,6 @@ def as_sourced(leaf: LeafModel) -> Cone:
 def _require_euclidean(domain: Box) -> None:
     if domain.is_periodic:
         raise ValueError(
-            f"Leaves of kind 'cone' hold Euclidean distances, which no periodic axis has, got {domain}. Use "
-            "continuous ones or planes instead."
+            f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use continuous "
+            "leaves or planes instead."
         )

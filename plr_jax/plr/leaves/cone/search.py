@@ -1,9 +1,9 @@
-"""The best partitions of cones within the limits of a file each, for one goal or for many of one workspace.
+"""Find the best partitions of cones within the limits of a file, for one goal or for many of one workspace.
 
-1. Each box gets the cone whose proven error has the least integral (``ConeBoxes``).
+1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
 2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
-3. Leaves of these trees get sources in sight where those serve about as well (``sources_in_sight``).
-4. For many goals, boxes that are alike for several of them are looked at once (``FamilyTask``).
+3. Leaves change to sources that they see, if the error hardly grows (``prefer_visible_sources``).
+4. For many goals, boxes that are equal for several goals are computed once (``FamilyTask``).
 """
 
 from bisect import bisect_left
@@ -20,7 +20,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import (
     EXACT,
-    POOR,
+    PRUNED,
     BoxLevel,
     Forest,
     PricedTree,
@@ -35,22 +35,22 @@ from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
 from plr_jax.plr.tree import Cells, Rows, Tree, grown_domain, tree_of, tree_of_axes
 
-# 1. Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use.
-
+# 1. Boxes and their best cones.
 
 _MOST_TRIED = 4
-"""Sources tried for a leaf: those to which most of it goes, judged by the centers of its pieces."""
+"""Number of sources to try for a box: those that the largest parts of it use, judged by the centers of its pieces."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes and the source of the best cone for each.
+    """Boxes and the best cone for each.
 
     Attributes:
-        cells: The boxes.
-        source: Index of the best source, -1 where nothing of the box reaches the goal.
-        error: Proven bound of the cone's largest error in the box, 0 if it is negligible.
-        integral: Proven bound of the integral of its error over the box, as a share of the domain's area.
+        negligible: Error up to which a box counts as exact.
+        visible: Sources of the boxes.
+        source: Index of the best source; -1 if nothing in the box reaches the goal.
+        error: Proven bound of the cone's largest error in the box; 0 if negligible.
+        integral: Proven bound of the integral of this error over the box, as a share of the domain's area.
     """
 
     domain: Box
@@ -65,7 +65,6 @@ class ConeBoxes(Rows):
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
 
     def append(self, *others: Self) -> Self:
-        """These boxes followed by others."""
         return replace(super().append(*others), visible=self.visible.append(*(other.visible for other in others)))
 
     def new_halves(
@@ -75,10 +74,9 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Those halves of some of the boxes whose keys are not known yet, each once; their keys; and all keys.
+        """Return the distinct halves of boxes whose keys are not ``known``, their keys, and the keys of all halves.
 
-        Of one goal the box is the key. Of a family it tells apart what goals make of the box too, which is known only
-        once the sources of the halves are.
+        For one goal, a key identifies the box. For a family, it also identifies the sources of the box.
         """
         cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
         lo, hi = cells.grown_boxes(self.domain)
@@ -90,30 +88,27 @@ class ConeBoxes(Rows):
             key = of_half = cells.hashes()
             new = rows = _first_of_new(key, known)
             found = visible.parts(parent[rows], axis[rows], is_upper[rows], lo[rows], hi[rows])
-        return fitted_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
+        return fit_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
 
 
 def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
-    """Where each distinct key that is not known stands first, in this order."""
+    """Return the first index of each distinct unknown key, in ascending order."""
     distinct, first = np.unique(key, return_index=True)
     return np.sort(first[~np.isin(distinct, known)])
 
 
-def resolved_error(distances: Float[np.ndarray, "n"]) -> float:
-    """The least error that a query resolves of distances, some of which may be ``inf``."""
+def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
+    """Return the smallest error that a 32-bit query resolves at the largest finite distance."""
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
-def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
-    """Boxes with the cone for each whose proven error has the least integral over its free part.
-
-    Errors up to what is negligible do not count.
-    """
-    best, error, integral = only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
+def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+    """Find each box's best cone, whose proven error (0 if ``negligible``) has the smallest integral."""
+    best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
         some = visible.of_cells(several)
-        # Sources tried for each: those that the centers of its pieces use, of the largest pieces first.
+        # Try the sources that the centers of a box's pieces use, those of the largest pieces first.
         count, area = len(visible.sources.points), areas(some.pieces)
         key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
         box, source = np.divmod(key, count)
@@ -121,7 +116,7 @@ def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSour
         box, source = box[order], source[order]
         is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_TRIED
         box, source = box[is_tried], source[is_tried]
-        largest, of_option = errors_of_options(some, box, source)
+        largest, of_option = option_errors(some, box, source)
         order = np.lexsort((some.rank(source), largest, of_option, box))
         order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
@@ -130,10 +125,10 @@ def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSour
     return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
 
 
-def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
-    """The source of boxes that all of each sees and no other is better for anywhere; -1 for other boxes."""
+def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+    """Return each box's source if all of the box sees it and uses no other source; -1 for other boxes."""
     only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
-    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # a pair a piece, or none at all
+    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # one pair for each piece, or none
     is_box = is_box[np.diff(first)[is_box] > 0]
     if not len(is_box):
         return only
@@ -145,15 +140,14 @@ def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     return only
 
 
-def errors_of_options(
+def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
+    """Bound the largest error of a source's cone in a box, and its integral over the box's free space."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
     def above_options(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
-        """Cones minus those of the sources that are tried."""
         return difference_of_cones(pieces, apex, offset, points[option[row]], distances[option[row]])
 
     lower, upper = bounds_of_pieces(visible, piece, above_options)
@@ -164,30 +158,23 @@ def errors_of_options(
     return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
 
 
-# 3. Choosing sources in sight: of those that serve a box about as well, one that most of it sees.
+# 3. Visible sources: among the sources that serve a box about as well, choose one that most of the box sees.
 #
-# A straight way from a point to its leaf's source meets a wall where the source is out of sight. There the distance
-# is larger than the cone says, for if the source were in sight, the way by it would be as short. So samples tell.
-# What each box could have instead is found once for all trees that have the box as a leaf.
+# If a wall hides a leaf's source from a point, the distance there is larger than the cone: were the source visible,
+# the path by it would be as short as the cone. So samples above the cone show where the source is hidden. The
+# alternatives of each box are computed once for all trees that have the box as a leaf.
 
-
-_PRICE = 30.0
-"""Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
-_LEAST_SHORTFALL = 1e-9
-"""Widths of the domain by which a distance is above a cone for certain."""
-_MOST_OPTIONS = 64
-"""Sources of a box that are compared: of more, as of a large box among clutter, none is in sight of much of it."""
-_KEY_BITS = 40  # for the place of a box in its level
+_PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
+_LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+_MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
+_KEY_BITS = 40  # bits for the index of a box in its level
 
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The boxes that are the leaves of one goal's tree, in the order of its traversal.
+    """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) and the index of each.
 
-    Attributes:
-        source: Viewpoint of each leaf's source, -1 where nothing reaches the goal.
-        depth: The level of boxes that each leaf is one of.
-        box: The box there.
+    ``source`` is the number of each leaf's source among all corners and goals (*viewpoints*), -1 for none.
     """
 
     source: Int[np.ndarray, "leaves"]
@@ -195,39 +182,35 @@ class LeafBoxes:
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> tuple[Tree, LeafBoxes]:
-    """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, keeps_split_order: bool) -> tuple[Tree, LeafBoxes]:
+    """Return a tree as its file stores it: as it was split, or in the canonical form of its leaves."""
     found, order = tree_of_axes(tree.axes, 2), tree.order
-    if not is_walked:
+    if not keeps_split_order:
         found = tree_of(found.leaves)
         order = order[found.order]
     depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
-    return found, LeafBoxes(views_of_leaves(levels, tree)[order], depth[order], box[order])
+    return found, LeafBoxes(leaf_views(levels, tree)[order], depth[order], box[order])
 
 
-def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
-    """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
+def leaf_views(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
+    """Return the viewpoints of the leaves' best sources, level by level; -1 if nothing reaches the goal."""
     source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
     source[source >= 0] = levels[0].boxes.visible.views(source[source >= 0])
     return source
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
-    """Boxes that are leaves, and the sources that those could have that do not all see their best one, box by box.
+class SourceOptions:
+    """Leaf boxes and the alternative sources of those that do not entirely see their best source.
 
     Attributes:
-        key: Of each box: its level and its place there.
-        boxes: The boxes.
-        first: Where the options of each box begin, and their number; of most boxes there are none.
-        view: Viewpoint of the source.
-        is_own: Whether it is the best one.
-        by_all: Whether all of the box sees it.
+        key: Level and index of each box, combined.
+        first: Index of each box's first option; most boxes have none.
+        view: Viewpoint of the option's source; ``is_own`` if it is the best source, ``by_all`` if all of the box sees
+            it.
         error: Mean error over the box, at samples.
-        hidden: Share of the box from where a wall is in the way.
-        largest: Proven largest error.
-        integral: Proven integral of the error, as a share of the domain.
-        area: Free area of the box.
+        hidden: Share of the box from which a wall hides the source.
+        largest, integral: Proven largest error, and proven integral of the error, as a share of the domain.
     """
 
     key: Int[np.ndarray, "boxes"]
@@ -243,12 +226,12 @@ class Options:
     area: Float[np.ndarray, "options"]
 
 
-def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> Options:
-    """The options of all boxes that are leaves of some tree."""
+def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> SourceOptions:
+    """Compute the options of all boxes that are leaves of some tree."""
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)
-    # Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it.
+    # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
     box, source = np.divmod(pair, count)
@@ -261,7 +244,7 @@ def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pa
     some, place = boxes[doubted], np.searchsorted(doubted, box)
     x = some.cells.points(pattern.u, boxes.domain)
     distance = distances_in_cells(some.visible, x)
-    # Mean error of each source in its box, and the share of it from where a wall is in the way.
+    # Mean error of each source in its box, and share of the box from which a wall hides it.
     sources, width = some.visible.sources, float(some.domain.width.max())
     weight = pattern.weight * np.isfinite(distance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
@@ -269,24 +252,23 @@ def options_of_trees(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pa
     above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
     is_hidden = above > _LEAST_SHORTFALL * width
     error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
-    largest, integral = errors_of_options(some.visible, place, source)
+    largest, integral = option_errors(some.visible, place, source)
     area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
     view, is_own = boxes.visible.views(source), source == boxes.source[box]
     first = np.searchsorted(box, np.arange(len(key) + 1))
-    return Options(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
+    return SourceOptions(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
 
 
 def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
     return (tree.depth << _KEY_BITS) + tree.box
 
 
-def sources_in_sight(
-    tree: LeafBoxes, options: Options, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
+def prefer_visible_sources(
+    tree: LeafBoxes, options: SourceOptions, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Viewpoints for the leaves of a tree, another one where a part does not see the best one and that is worth it.
+    """Choose viewpoints for the leaves of a tree; change them where part of a leaf does not see its best source.
 
-    No leaf's proven error rises above the largest of all: what is proven of all of them holds as before. Of the
-    changes, the most useful first, as many are made as fit.
+    No leaf's proven error exceeds the largest of all. The most useful changes come first, as many as fit.
     """
     leaf, view = _changes(tree, options)
 
@@ -300,8 +282,10 @@ def sources_in_sight(
     return changed(bisect_left(range(1, len(leaf)), True, key=lambda count: not fits(changed(count))))
 
 
-def _changes(tree: LeafBoxes, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
-    """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
+def _changes(
+    tree: LeafBoxes, options: SourceOptions
+) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
+    """Return leaves that gain by another source, with its viewpoint, sorted by falling gain in error times area."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
     option, leaf = take_ragged(options.first, box)
     if not len(leaf):
@@ -323,28 +307,25 @@ def _changes(tree: LeafBoxes, options: Options) -> tuple[Int[np.ndarray, "change
 
 # 2. The best trees.
 
-
-_ROOM = 64
-"""One byte for so many is left for sources to be changed to others that are in sight."""
-
+_ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 ConeTree: TypeAlias = tuple[Tree, StoredCones]
-"""A tree, and what a file keeps of its leaves in the order of its traversal."""
+"""A tree, and the file form of its leaves in the order of its traversal."""
 Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
-"""Calls a step on trees again and again until it gives None, and gives the last ones."""
+"""Function that repeats a step on trees until it returns None, and returns the last trees."""
 
 
-def run_through(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
-    """A plain loop: without progress, and an interrupt is one."""
+def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
+    """Repeat a step until it returns None, without a progress bar; interrupts (Ctrl-C) pass through."""
     while (larger := step(forest)) is not None:
         forest = larger
     return forest
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Those of one goal, from the sources of the grown domain as a cell."""
-    negligible = max(limits.tolerance, resolved_error(visible.distance))
-    box = fitted_boxes(domain, negligible, Cells.root(2), visible)
+    """Find the best cones of one goal; ``visible`` has the sources of the grown domain."""
+    negligible = max(limits.tolerance, query_resolution(visible.distance))
+    box = fit_boxes(domain, negligible, Cells.root(2), visible)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     root = np.zeros(1, np.int64)
     return best_cones(levels, root, [visible.sources], domain, limits, pattern, run)[0]
@@ -358,111 +339,99 @@ def best_cones(
     limits: Limits,
     pattern: Pattern,
     run: Run,
-    thrift: SearchPruning = EXACT,
+    pruning: SearchPruning = EXACT,
 ) -> list[ConeTree]:
-    """The leaves of each member, some of which have sources that are in sight instead of the best ones.
+    """Find the best leaves of each member, and change sources to visible ones.
 
-    Args:
-        levels: Boxes to start with.
-        roots: The box of the first level that each member starts at.
-        sources: Of each member, numbered as its viewpoints are: of one goal the goal, then the corners; of a family
-            the corners, then the member's goal.
-        domain: What the leaves cover.
-        limits: The limits of each.
-        pattern: Samples of a cell, by which sources in sight are chosen.
-        run: :func:`grow`, or :func:`run_through`.
-        thrift: What the search leaves out.
+    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` have the order of viewpoints:
+    for one goal the goal first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
     def views(member: int, view: Int[np.ndarray, "leaves"]) -> Int[np.ndarray, "leaves"]:
-        # In a family all goals follow the corners by number; a member's table has its own alone, the last.
+        # A family numbers all goals after the corners, but a member's table has only its own goal, at the end.
         return np.minimum(view, len(sources[member].points) - 1)
 
     def size(member: int, tree: PricedTree) -> int:
-        if thrift.is_walked:
-            view = views_of_leaves(levels, tree)[tree.order]
+        if pruning.keeps_split_order:
+            view = leaf_views(levels, tree)[tree.order]
         else:
-            view = tree_of_leaves(levels, tree, is_walked=False)[1].source
+            view = tree_of_leaves(levels, tree, keeps_split_order=False)[1].source
         return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
 
     num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
-    search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
-    trees = [tree_of_leaves(levels, tree, thrift.is_walked) for tree in run(search.first(), search.next).trees]
-    options, members = options_of_trees(levels, [leaves for _, leaves in trees], pattern), []
+    search = PriceSearch(levels, roots, limits, size, num_sources, pruning)
+    trees = [
+        tree_of_leaves(levels, tree, pruning.keeps_split_order) for tree in run(search.first(), search.next).trees
+    ]
+    options, members = source_options(levels, [leaves for _, leaves in trees], pattern), []
     for member, (tree, leaves) in enumerate(trees):
 
         def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
             return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
 
-        view = views(member, sources_in_sight(leaves, options, fits))
+        view = views(member, prefer_visible_sources(leaves, options, fits))
         members.append((tree, files[member].stored(view)))
     return members
 
 
-# 4. Many goals of one workspace: a cell that is alike for several goals is looked at once for all.
+# 4. Many goals of one workspace: a box that is equal for several goals is computed once for all of them.
 #
-# Up to some number of splits every box has sources of its own for every goal, and hardly one is a leaf of a good tree
-# unless one source serves all of it. So goals *start* at boxes of so many splits, and boxes above are leaves only
-# where all of the boxes that they hold have no error and one source. Where sources take most of the bytes, as of a
-# hundred corners in 1 KB, leaves are fewer than the start expects, and a good tree has larger ones: a single goal
-# starts at the whole domain.
+# Boxes of few splits have different sources for every goal, and are hardly ever leaves of a good tree unless one
+# source serves all of the box. So all goals *start* at boxes with a fixed number of splits. A larger box becomes a
+# leaf only if all start boxes in it have no error and the same source. If sources take most of the bytes (such as 100
+# corners in 1 KB), good trees have fewer and larger leaves; so a single goal starts at the whole domain.
 
-
-_MOST_SPLITS, _LEAVES_A_START = 9, 8.0
-_BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
-_RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
-# Boxes are left out that seldom are leaves, for which the search is twice as quick.
-_THRIFT = SearchPruning(1.0, 5, 0.99, is_walked=True)
-_ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
+_MOST_SPLITS, _LEAVES_A_START = 9, 8.0  # splits of start boxes; expected leaves in each
+_BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # estimates for the number of leaves
+_RESOLVED = float(np.finfo(np.float32).eps / 4)  # relative error below the resolution of queries
+# Pruning of boxes that are seldom leaves halves the time of the search.
+_FAMILY_PRUNING = SearchPruning(1.0, 5, 0.99, keeps_split_order=True)
+_ANY, _NONE = -1, -2  # in place of a source: nothing reaches the goal; several sources or an error
 
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """What all members of a family share; called with oracles of some of them, it finds their leaves.
+    """A builder of cones for members of a family; call it with the oracles of some members.
 
-    Attributes:
-        shared: What the oracles share of the boxes that all start at.
-        tops: The cells of each number of splits, those that all start at last.
-        halves: Where the halves of each stand among those of one more split.
-        domain: What the PLRs cover.
-        limits: What the file of each is to keep within.
-        pattern: Samples of a cell, by which sources in sight are chosen.
+    ``shared`` has the data of the start boxes that all oracles share. ``upper_cells`` are the cells of each number of
+    splits, up to the start boxes; ``halves`` index the halves of each cell among the next cells, by axis and half.
     """
 
     shared: Any
-    tops: list[Cells]
+    upper_cells: list[Cells]
     halves: list[Int[np.ndarray, "2 2 _"]]
     domain: Box
     limits: Limits
     pattern: Pattern
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> list[ConeTree]:
-        """The leaves of some members."""
         found, key, node_of = oracles[0].family_sources(self.shared, oracles)
         if (lost := np.flatnonzero((node_of < 0).all(axis=1))).size:
-            raise ValueError(f"Nothing was found from where the goal of oracle {lost[0]} can be reached.")
-        # Boxes of which nothing reaches a goal have no pieces; they stand behind the others.
-        cells, limits = self.tops[-1], self.limits
+            raise ValueError(
+                f"The goal of oracle {lost[0]} must be reachable from somewhere in the domain. Check that it is free."
+            )
+        # Boxes from which nothing reaches a goal have no pieces; add them after the others.
+        cells, limits = self.upper_cells[-1], self.limits
         place, empty = np.zeros(found.num_cells, np.int64), np.unique(np.nonzero(node_of < 0)[1])
         place[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
         node_of = np.where(node_of < 0, found.num_cells + np.searchsorted(empty, np.arange(len(cells))), node_of)
         lowest, found = cells[np.append(place, empty)], replace(found, num_cells=found.num_cells + len(empty))
         negligible = max(limits.tolerance, _RESOLVED * float(self.domain.width.max()))
-        boxes = fitted_boxes(self.domain, negligible, lowest, found)
+        boxes = fit_boxes(self.domain, negligible, lowest, found)
         key = np.append(key, cells[empty].hashes())
-        levels = [*self._above(boxes, node_of), BoxLevel.of(boxes, key)]
+        levels = [*self._upper_levels(boxes, node_of), BoxLevel.of(boxes, key)]
         roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
         sources = [_corners_first(oracle.sources) for oracle in oracles]
-        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_through, _THRIFT)
+        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_quietly, _FAMILY_PRUNING)
 
-    def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
-        """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""
+    def _upper_levels(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
+        """Make the boxes above the start boxes, goal by goal; their error is 0 with one source, else ``inf``."""
         levels, node = [], node_of
         nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
-        is_alone = (boxes.source < 0) | (only_sources(boxes.visible) >= 0)
+        is_alone = (boxes.source < 0) | (sole_sources(boxes.visible) >= 0)
         source = np.where(is_alone, boxes.source, _NONE)[node_of]
-        for cells, child in zip(reversed(self.tops[:-1]), reversed(self.halves), strict=True):
+        for cells, child in zip(reversed(self.upper_cells[:-1]), reversed(self.halves), strict=True):
             common = np.full((len(source), len(cells)), _NONE)
             for lower, upper in child:
                 some = np.flatnonzero(lower >= 0)
@@ -471,7 +440,7 @@ class FamilyTask:
                 alike = (least == most) | (least == _ANY)
                 common[:, some] = np.maximum(common[:, some], np.where(alike, most, _NONE))
             source, count = common, common.size
-            below = np.where(child >= 0, node[:, child], POOR).transpose(1, 2, 0, 3).reshape(2, 2, count)
+            below = np.where(child >= 0, node[:, child], PRUNED).transpose(1, 2, 0, 3).reshape(2, 2, count)
             node = np.arange(count).reshape(common.shape)
             error = np.where(common == _NONE, np.inf, 0.0).ravel()
             cells, visible = cells[np.tile(np.arange(len(cells)), len(common))], replace(nothing, num_cells=count)
@@ -483,26 +452,26 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) -> FamilyTask:
-    """What all of the family of a distance function share."""
-    # About as many leaves as the limits allow.
+    """Make the task of the family to which the oracle ``first`` belongs."""
+    # Estimate the number of leaves that the limits allow.
     room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
     num_leaves = max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof)))
     splits = int(np.clip(np.log2(num_leaves / _LEAVES_A_START), 0, min(_MOST_SPLITS, limits.max_depth)))
-    tops, halves = [Cells.root(2)], []
+    upper_cells, halves = [Cells.root(2)], []
     for _ in range(splits):
-        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(tops[-1], limits)))
+        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(upper_cells[-1], limits)))
         is_upper = np.arange(len(parent)) % 2 == 1
-        cells = tops[-1][parent].halves(axis, is_upper)
+        cells = upper_cells[-1][parent].halves(axis, is_upper)
         _, first_half, index = np.unique(cells.hashes(), return_index=True, return_inverse=True)
-        halves.append(np.full((2, 2, len(tops[-1])), POOR))
+        halves.append(np.full((2, 2, len(upper_cells[-1])), PRUNED))
         halves[-1][axis, is_upper.astype(int), parent] = index
-        tops.append(cells[first_half])
-    shared = first.shared_cells(grown_domain(domain), *tops[-1].grown_boxes(domain))
-    return FamilyTask(shared, tops, halves, domain, limits, pattern)
+        upper_cells.append(cells[first_half])
+    shared = first.shared_cells(grown_domain(domain), *upper_cells[-1].grown_boxes(domain))
+    return FamilyTask(shared, upper_cells, halves, domain, limits, pattern)
 
 
 def _corners_first(sources: Sources) -> Sources:
-    """Sources in the order of viewpoints, the goal last."""
+    """Return sources in the order of a family's viewpoints, with the goal last."""
     parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
     return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)

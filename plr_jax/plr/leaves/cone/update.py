@@ -1,14 +1,13 @@
-"""Cones after a map has changed: leaves stay where they hold, and elsewhere the best ones are sought.
+"""Update cones after a change of the map: keep leaves that still hold, and search for the others.
 
-A leaf holds where distances have changed by one number. The proven bounds of a leaf tell which sources a shortest
-path from there can set out for: those whose cones come as low as the distance somewhere in the leaf. If these are
-intact, and farther by one number, no distance has grown by more. If besides no other source of the new map comes as
-low, none has grown by less.
+A leaf holds if all distances in it have changed by one number. Its proven bounds tell which sources a shortest path
+from the leaf can go to first: those whose cones come down to the distance somewhere in the leaf. If all these paths
+are intact and changed by one number, no distance increased by more. If no other source of the new map comes down as
+low, no distance increased by less.
 
-A tree that is the best one at a price a leaf is so in each of its parts. So where distances have changed by one
-number the best leaves are the old ones, as long as the price is the same; elsewhere they are sought as in a
-construction. If the file has too little room, the price rises and leaves that hold are put together. If it has room
-left, the price falls and the leaves with the largest errors are sought again.
+Every subtree of a tree that is optimal at a price per leaf is optimal too. So leaves that hold stay optimal at the
+same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the price
+rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
 """
 
 from dataclasses import dataclass
@@ -23,8 +22,8 @@ from plr_jax._types import CellSources, ChangingFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.convex_pieces import boxes_as_pieces, difference_of_cones
-from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, OwnBoxes, best_axes, expand
-from plr_jax.plr.cell_memory import sources_down
+from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, MemberBoxes, best_axes, expand
+from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.base import LeafModel
@@ -33,31 +32,23 @@ from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
     LeafBoxes,
     best_cones_of_goal,
-    fitted_boxes,
-    options_of_trees,
-    resolved_error,
-    run_through,
-    sources_in_sight,
+    fit_boxes,
+    prefer_visible_sources,
+    query_resolution,
+    run_quietly,
+    source_options,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
 
-_FINE = 2.0**-24  # of the domain's width, by which stored sources may be off
+_FINE = 2.0**-24  # rounding of stored sources, in units of the domain's width
 
 Leaf = Int[np.ndarray, "pairs"]
 
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """Leaves of cones, and what is proven of them.
-
-    Attributes:
-        domain: What they fill.
-        tree: Their tree, in the order of whose traversal they stand.
-        stored: What is kept of them.
-        bounds: Of the distance minus what each holds.
-        slack: By how much any of that may be off.
-    """
+    """Leaves of cones with proven bounds of the distance minus each cone; ``slack`` is their uncertainty."""
 
     domain: Box
     tree: Tree
@@ -67,31 +58,22 @@ class ConeLeaves:
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "leaves"]:
-        """What each adds to the distance to its source."""
         return self.stored.sources.offsets[self.stored.source]
 
     @cached_property
     def apex(self) -> Float[np.ndarray, "leaves 2"]:
-        """The source of each."""
         return self.stored.sources.points[self.stored.source]
 
     @cached_property
     def _boxes(self) -> tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]:
         return self.tree.leaves.grown_boxes(self.domain)
 
-    def kept(
+    def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """By how much distances have changed everywhere in each leaf, and to its source.
+        """Return the change of the distances in each leaf, if all changed by one number, and each leaf's new source.
 
-        Args:
-            changed: How distances have changed.
-            before: All sources before.
-            after: All sources afterwards.
-
-        Returns:
-            The changes, NaN for leaves that do not hold, and the source afterwards that each leaf's own is, -1 for
-            none.
+        The change is NaN for leaves that do not hold. The source is an index in ``after``, -1 if the source is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -105,32 +87,33 @@ class ConeLeaves:
             np.minimum.at(least, leaf, change)
             np.maximum.at(most, leaf, change)
 
-        # 1. Where points may be free that were not, or reach the goal that did not, nothing holds.
+        # 1. Leaves where points may be newly free, or may newly reach the goal, do not hold.
         for box in changed.boxes:
             differ[((lo <= box[2]) & (hi >= box[0])).all(axis=1)] = True
-        leaf, triangle = self._meeting(changed.triangles, np.flatnonzero(~is_uniform))
+        leaf, triangle = self._leaves_meeting(changed.triangles, np.flatnonzero(~is_uniform))
         differ[leaf[changed.was_cut_off[triangle]]] = True
-        # 2. What triangles with one change tell, and elsewhere the sources before that paths may set out for.
-        of_uniform = self._meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
+        # 2. Collect changes: those of triangles that changed by one number, and elsewhere those of the sources before
+        # that paths may go to first.
+        of_uniform = self._leaves_meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
         take(of_uniform[0], changed.change[of_uniform[1]])
-        of, pairs = self._as_low(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
-        differ[of[self._are_cut(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
+        of, pairs = self._competing_sources(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
+        differ[of[self._may_cross_changes(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
         take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
         if (np.maximum(np.abs(least), np.abs(most))[least <= most] > changed.rounding).any():
-            # Triangles in which distances have not changed tell as well.
-            still, _ = self._meeting(changed.triangles, np.flatnonzero(changed.change == 0))
+            # Triangles without a change matter as well.
+            still, _ = self._leaves_meeting(changed.triangles, np.flatnonzero(changed.change == 0))
             take(still, np.zeros(len(still)))
-        # 3. The change must be one number, 0 where nothing is known, and that of the leaf's own source.
+        # 3. All changes must be one number (0 if there are none), and equal the change of the leaf's own source.
         change = np.where(least <= most, most, 0.0)
         differ[(least <= most) & ~(most - least <= changed.rounding)] = True
         differ[~(np.abs(of_source - change) <= 2 * changed.rounding)] = True
-        # 4. No source afterwards may lead to a shorter path.
-        of, pairs = self._as_low(differ, leaf, triangle, changed.after, after, change)
+        # 4. No source after the change may give a shorter path.
+        of, pairs = self._competing_sources(differ, leaf, triangle, changed.after, after, change)
         grows_less = np.isnan(pairs.change) | (pairs.change < change[of] - changed.rounding)
-        differ[of[grows_less | self._are_cut(of, pairs, after, changed)]] = True
+        differ[of[grows_less | self._may_cross_changes(of, pairs, after, changed)]] = True
         return np.where(differ, np.nan, change), source
 
-    def _as_low(
+    def _competing_sources(
         self,
         differ: Bool[np.ndarray, "leaves"],
         leaf: Leaf,
@@ -139,11 +122,10 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Leaves, and pairs of triangles that they meet of which cones come as low as distances there may be.
-
-        At most these are what was proven of the leaf, and by how much they have grown.
-        """
-        first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # pairs of each triangle
+        """Find pairs of a leaf and a triangle's source whose cone comes as low as distances in the leaf may be."""
+        first = np.searchsorted(
+            pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
+        )  # first pair of each triangle
         rows, met = take_ragged(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
@@ -159,18 +141,20 @@ class ConeLeaves:
         low = lowest <= limit[near]
         return of[low], pairs[rows[low]]
 
-    def _are_cut(
+    def _may_cross_changes(
         self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
-        """Whether ways from leaves to sources may meet what changed."""
+        """Return whether paths from leaves to sources may cross the changed part of the map."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)
         cut[rows] = hulls_meet_boxes(np.stack([sources.points[pairs.source[rows]], *corners], axis=1), changed.boxes)
         return cut
 
-    def _meeting(self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]) -> tuple[Leaf, Leaf]:
-        """Leaves, and those of some triangles that they meet, down the tree."""
+    def _leaves_meeting(
+        self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
+    ) -> tuple[Leaf, Leaf]:
+        """Return all pairs of a leaf and one of the triangles ``which`` that intersect, by descending the tree."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles
         normal = np.stack([-sides[..., 1], sides[..., 0]], axis=-1)
@@ -179,7 +163,7 @@ class ConeLeaves:
         while len(node):
             meets = ((lo[node] <= most[triangle]) & (hi[node] >= least[triangle])).all(axis=1)
             node, triangle = node[meets], triangle[meets]
-            # A box is outside of a side if its corner farthest inward is.
+            # A box is outside of a side of a triangle if its innermost corner is.
             inward = np.where(normal[triangle] >= 0, hi[node, None], lo[node, None])
             meets = ((inward * normal[triangle]).sum(axis=2) >= offset[triangle]).all(axis=1)
             node, triangle = node[meets], triangle[meets]
@@ -191,31 +175,23 @@ class ConeLeaves:
         return leaf, triangle
 
 
-# The search of the other leaves.
-
-
-_ASKED, _SPARE = 128, 1e-6  # leaves whose centers are looked at; of the largest distance, by which those may be off
-_MARGIN = 1.0  # times as much as along the other axis halves may cost to be looked at further
-_FULL, _AIM, _LEFT = 0.99, 0.995, 0.97  # of the limits: enough; sought; and so few that more leaves are sought
-_FAR = 0.8  # of the limits: so few that all leaves are sought
-_ATTEMPTS = 12  # to find a price
-_MOST_SOUGHT = 512  # leaves at once that err most
-_RATE = 2.0  # a price falls about as the limits are used up to this power
-_WANTING = 0.15  # of leaves, as many as err by more than the price where a tree is cut short by its limits
+_ASKED, _SPARE = 128, 1e-6  # leaves tested for the right oracle; tolerance in units of the largest distance
+_MARGIN = 1.0  # pruning margin of expand
+# Used share of the limits: enough; aimed at; below which the worst leaves are reopened; below which all are rebuilt.
+_FULL, _AIM, _LEFT, _FAR = 0.99, 0.995, 0.97, 0.8
+_ATTEMPTS = 12  # number of prices to try
+_MOST_SOUGHT = 512  # largest number of leaves to reopen
+_RATE = 2.0  # guess: price ~ (used share of the limits)**-2
+_WANTING = 0.15  # share of leaves with costs above the price from which a tree counts as cut short by its limits
 _NO_PRICE = np.finfo(float).tiny
-_FEW = 0.03  # of two or more leaves in one place, how many may be worth less than their price
+_FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 
 @dataclass(frozen=True, eq=False)
-class PricedNodes:
-    """Nodes of a tree of cones as leaves of their own: what they would add to its error.
+class NodeCosts:
+    """Costs of the nodes of a tree as leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
 
-    Attributes:
-        integral: Proven bound of the integral of each one's error, as a share of the domain's area; ``inf`` where it
-            is not known.
-        error: Proven bound of each one's largest error.
-        source: Its best source, -1 where nothing reaches the goal.
-        price: Of a leaf, at which the tree is the best one.
+    ``price`` is a price per leaf at which the tree is optimal.
     """
 
     integral: Float[np.ndarray, "nodes"]
@@ -224,13 +200,13 @@ class PricedNodes:
     price: float
 
 
-def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> PricedNodes:
-    """Those of the tree of an oracle, and a price with which few of its leaves should be put together."""
+def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
+    """Compute the costs of all nodes, and estimate a price at which few leaves should be merged."""
     tree, domain = leaves.tree, leaves.domain
-    negligible = max(limits.tolerance, resolved_error(oracle.sources.distances))
+    negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
-    for nodes, visible in sources_down(tree, oracle.cell_sources(grown_domain(domain)), domain):
-        boxes = fitted_boxes(domain, negligible, tree.cells[nodes], visible)
+    for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
+        boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
         integral[nodes], error[nodes], source[nodes] = boxes.integral, boxes.error, boxes.source
     costs = integral + _share(tree, limits) * error
     total, count = costs.copy(), np.ones(len(costs))
@@ -242,25 +218,19 @@ def priced_nodes(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> Pric
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
     price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
-    return PricedNodes(integral, error, source, price)
+    return NodeCosts(integral, error, source, price)
 
 
 def _share(tree: Tree, limits: Limits) -> float:
-    """How much the largest error of a leaf counts besides its integral, of about as many leaves as there will be."""
+    """Return the weight of a leaf's largest error beside its integral, from the expected number of leaves."""
     most = min(limits.max_bytes, limits.max_leaves)
     return LEAST_SHARE_PROVEN / max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)
 
 
 class UpdatedCones(NamedTuple):
-    """Leaves after a map has changed, in the order of their tree's traversal.
+    """Leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
 
-    Attributes:
-        tree: The tree.
-        stored: What a file keeps of the leaves.
-        bounds: Bounds of the distance minus what each leaf holds, for leaves that stay.
-        rebuilt: The other leaves.
-        visible: The sources of rebuilt leaves as cells.
-        priced: Costs of the nodes of the tree; None if they are not known.
+    ``bounds`` are valid for kept leaves only. ``visible`` has the sources of the new leaves' cells.
     """
 
     tree: Tree
@@ -268,52 +238,49 @@ class UpdatedCones(NamedTuple):
     bounds: LeafBounds
     rebuilt: Int[np.ndarray, "rebuilt"]
     visible: CellSources
-    priced: PricedNodes | None
+    node_costs: NodeCosts | None
 
 
 def updated_cones(
     leaves: ConeLeaves,
-    priced: PricedNodes | None,
+    node_costs: NodeCosts | None,
     changed: ChangedDistances,
     oracle: ChangingFn,
     before: ChangingFn,
     limits: Limits,
 ) -> UpdatedCones:
-    """Keep leaves in which all distances have changed by one number, and find the best ones in place of the others.
-
-    Raises ``ValueError`` if the oracle before is found to be another one than that of the leaves' bounds.
-    """
-    pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # by which sources in sight are chosen
+    """Keep leaves in which all distances changed by one number, and find the best leaves for the rest."""
+    pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # for choosing visible sources
     _require_proof_of(before, leaves)
-    priced = priced or priced_nodes(leaves, before, limits)
-    change, source = leaves.kept(changed, before.sources, oracle.sources)
-    search = ConeSearch.of(leaves, priced, changed, change, source, oracle, limits)
-    if search.is_sought.all() and (search.levels[0].boxes.source < 0).all():
+    node_costs = node_costs or compute_node_costs(leaves, before, limits)
+    change, source = leaves.distance_changes(changed, before.sources, oracle.sources)
+    search = ConeSearch.of(leaves, node_costs, changed, change, source, oracle, limits)
+    if search.is_reopened.all() and (search.levels[0].boxes.source < 0).all():
         raise ValueError(f"The goal cannot be reached any more from anywhere in the domain, {leaves.domain}.")
-    best = _best_within(search)
+    best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_through)
+        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
         visible = oracle.sources_of_boxes(*tree.leaves.grown_boxes(leaves.domain))
         unknown = np.zeros((2, len(tree.leaves)))
         return UpdatedCones(tree, new, LeafBounds(*unknown), np.arange(len(tree.leaves)), visible, None)
-    new = search.files.stored(search.sources_in_sight(best, pattern))
+    new = search.files.stored(search.prefer_visible_sources(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
-    stays, anew = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
+    stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
-    # A cone has moved with its offset, and a little where its source is rounded another way.
+    # A kept cone moved with its offset, and slightly if its source is rounded differently.
     rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
     beside = np.linalg.norm(new.sources.points[new.source[stays]] - leaves.apex[old], axis=1)
     lower, upper = np.zeros((2, len(best.leaves)))
     lower[stays] = leaves.bounds.lower[old] + rises - beside
     upper[stays] = leaves.bounds.upper[old] + rises + beside
-    visible = search.visible(best.leaves[anew])
+    visible = search.visible(best.leaves[rebuilt])
     tree = tree_of_axes(best.axes, 2)
-    return UpdatedCones(tree, new, LeafBounds(lower, upper), anew, visible, search.priced(best))
+    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, search.node_costs(best))
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
-    """Refuse another oracle than the one that bounds are of, where centers of leaves tell."""
+    """Raise ``ValueError`` if distances at leaf centers contradict the leaves' bounds."""
     lo, hi = leaves.tree.leaves.boxes(leaves.domain)
     leaf = np.random.default_rng(0).permutation(len(lo))[:_ASKED]
     x = (lo[leaf] + hi[leaf]) / 2
@@ -322,22 +289,19 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
     wrong = (above < leaves.bounds.lower[leaf] - spare) | (above > leaves.bounds.upper[leaf] + spare)
     if (wrong := wrong & np.isfinite(above)).any():
         raise ValueError(
-            "before must be the oracle that the PLR is of, whose proof it holds; distances of this one are others, "
-            f"as at {x[wrong][0].tolist()}."
+            "before must be the oracle that the PLR is of, got one whose distance at "
+            f"{x[wrong][0].tolist()} contradicts the PLR's proof. Give the oracle before the change."
         )
 
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The best tree at a price, as long as no more is looked at.
+    """The best tree at a price, among the computed boxes, level by level; leaves are in tree order.
 
     Attributes:
-        price: The price.
-        axes: The axis along which each node is split, level by level; -1 for a leaf.
-        nodes: Which nodes of the tree before, and boxes behind these, its nodes are, level by level.
-        leaves: Which its leaves are, as they are traversed.
-        num_bytes: Of its file.
-        share: How much it takes of what the limits allow.
+        axes: Split axis of each node; -1 for a leaf.
+        nodes, leaves: Indices into the nodes of the old tree, followed by all boxes.
+        share: Share of the limits that the tree uses.
     """
 
     price: float
@@ -350,36 +314,35 @@ class FoundTree:
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """The search of the best leaves of a changed map.
+    """The search for the best leaves of a changed map.
 
     Attributes:
-        leaves: The leaves that there were.
-        nodes: The nodes of their tree, whose costs are ``inf`` where distances have not changed by one number.
-        is_sought: Which of the leaves are sought anew.
-        roots: The nodes of their tree in whose place boxes are sought.
-        levels: Those boxes, the first as the roots are.
+        nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
+        is_reopened: Which of the old leaves are searched again.
+        roots: Nodes of the old tree that boxes replace.
+        levels: Levels of boxes; the first level begins with the roots, in their order.
     """
 
     leaves: ConeLeaves
-    nodes: PricedNodes
+    nodes: NodeCosts
     oracle: ChangingFn
     limits: Limits
     files: ConeFiles
-    is_sought: Bool[np.ndarray, "leaves"]
+    is_reopened: Bool[np.ndarray, "leaves"]
     roots: list[Int[np.ndarray, "_"]]
     levels: list[BoxLevel]
 
     @staticmethod
     def of(
         leaves: ConeLeaves,
-        priced: PricedNodes,
+        node_costs: NodeCosts,
         changed: ChangedDistances,
         change: Float[np.ndarray, "leaves"],
         source: Int[np.ndarray, "leaves"],
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """That of leaves in which distances have changed by some numbers, NaN for those that do not hold."""
+        """Start the search from the change in each leaf (NaN if it does not hold) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
@@ -388,16 +351,16 @@ class ConeSearch:
             first, second = tree.child[split], tree.child[split] + 1
             least[split], most[split] = np.minimum(least[first], least[second]), np.maximum(most[first], most[second])
             is_whole[split] = is_whole[first] & is_whole[second]
-        now = np.where(priced.source < 0, -1, changed.source[priced.source])
-        is_known = (most - least <= changed.rounding) & ((now >= 0) | (priced.source < 0))
+        now = np.where(node_costs.source < 0, -1, changed.source[node_costs.source])
+        is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
-        integral, error = (np.where(is_known, each, np.inf) for each in (priced.integral, priced.error))
-        # The largest nodes of which no leaf holds.
+        integral, error = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.error))
+        # Roots: the largest nodes without a leaf that holds.
         is_root = is_whole.copy()
         for split in tree.splits:
             whole = split[is_whole[split]]
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
-        roots, nodes = np.flatnonzero(is_root), PricedNodes(integral, error, now, priced.price)
+        roots, nodes = np.flatnonzero(is_root), NodeCosts(integral, error, now, node_costs.price)
         files = ConeFiles(oracle.sources, leaves.domain)
         search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
         boxes = search.boxes(roots)
@@ -406,27 +369,22 @@ class ConeSearch:
 
     @property
     def share(self) -> float:
-        """How much largest errors count."""
         return _share(self.leaves.tree, self.limits)
 
     @property
     def num_boxes(self) -> int:
-        """How many boxes were looked at."""
         return sum(len(level.key) for level in self.levels)
 
     def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        """Sources of nodes and boxes."""
         return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
 
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
-        """Nodes of the tree as boxes."""
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
-        negligible = max(self.limits.tolerance, resolved_error(self.oracle.sources.distances))
-        return fitted_boxes(domain, negligible, cells, visible)
+        negligible = max(self.limits.tolerance, query_resolution(self.oracle.sources.distances))
+        return fit_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
-        """The sources of nodes and boxes as cells."""
         first, parts = len(self.leaves.tree.child), [self.boxes(node[node < len(self.leaves.tree.child)]).visible]
         places = [np.flatnonzero(node < first)]
         for level in self.levels:
@@ -436,28 +394,28 @@ class ConeSearch:
             first += len(level.key)
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
-    def look(self, price: float) -> None:
-        """Look at boxes that may be leaves at a price."""
+    def expand_boxes(self, price: float) -> None:
+        """Compute the boxes that may be leaves at a price."""
         each = np.full(len(self.levels[0].key), price)
         expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
 
-    def is_full(self, price: float) -> bool:
-        """Whether most leaves stay, and hardly any errs by more than a price: room is left as nothing needs it."""
+    def needs_no_refinement(self, price: float) -> bool:
+        """Return whether most leaves hold and few cost more than the price, so that more leaves would not pay."""
         cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
-        known = cost[~self.is_sought & np.isfinite(cost)]
+        known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
-    def seek(self, count: int, price: float) -> None:
-        """Seek so many more leaves anew, those that err most, if by more than the price."""
+    def reopen_worst_leaves(self, count: int, price: float) -> None:
+        """Search again at most ``count`` leaves of the highest costs, if these exceed the price."""
         tree = self.leaves.tree
         integral, error = self.nodes.integral, self.nodes.error
         cost = (integral + self.share * error)[tree.node_of_leaf]
-        cost[self.is_sought | np.isinf(cost)] = 0.0
+        cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
         if not len(leaf):
             return
-        self.is_sought[leaf] = True
+        self.is_reopened[leaf] = True
         self.roots.append(node := tree.node_of_leaf[leaf])
         boxes = self.boxes(node)
         self.levels[0].append(boxes, boxes.cells.hashes())
@@ -467,7 +425,6 @@ class ConeSearch:
             integral[split[sought]] = np.inf
 
     def best(self, price: float) -> FoundTree:
-        """The best tree of what was looked at."""
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
         cost = self.nodes.integral + self.share * self.nodes.error + price
         total = np.where(np.isfinite(cost), cost, 0.0)
@@ -476,7 +433,7 @@ class ConeSearch:
             both = total[tree.child[split]] + total[tree.child[split] + 1]
             total[split] = np.minimum(cost[split], both)
             axes[0][split[cost[split] <= both]] = -1
-        own = [OwnBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
+        own = [MemberBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
         for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.share), strict=True):
             first += len(box)
             axes.append(axis)
@@ -498,8 +455,8 @@ class ConeSearch:
         share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, walked, node, leaf, num_bytes, share)
 
-    def sources_in_sight(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Sources of the leaves of a tree, of boxes others where a part does not see the best one."""
+    def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
+        """Return the sources of a tree's leaves, where possible visible ones for new leaves."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
@@ -516,30 +473,29 @@ class ConeSearch:
 
         if not len(leaf):
             return source
-        return with_views(sources_in_sight(tree, options_of_trees(self.levels, [tree], pattern), fits))
+        return with_views(prefer_visible_sources(tree, source_options(self.levels, [tree], pattern), fits))
 
-    def priced(self, found: FoundTree) -> PricedNodes:
-        """What is known of the nodes of a tree."""
+    def node_costs(self, found: FoundTree) -> NodeCosts:
         boxes = [level.boxes for level in self.levels]
         integral, error, source = (
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
             for name in ("integral", "error", "source")
         )
-        return PricedNodes(integral, error, source, found.price)
+        return NodeCosts(integral, error, source, found.price)
 
 
-def _best_within(search: ConeSearch) -> FoundTree | None:
-    """The best tree with the leaves that stay; None if these are too many, or far too few, for the limits."""
+def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
+    """Return the best tree that fits; None if no price fits, or if the limits allow far more leaves."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
-    num_leaves = len(search.is_sought)
-    share = now.share * num_leaves / len(now.leaves)  # about that of the tree before
-    is_full = search.is_full(price)
+    num_leaves = len(search.is_reopened)
+    share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
+    is_full = search.needs_no_refinement(price)
     if share < _FAR and not is_full:
         return None
-    if share < _LEFT and not is_full:  # room that the change before has left, so that all is looked at together
+    if share < _LEFT and not is_full:  # use the room that earlier changes left
         price *= (share / _AIM) ** _RATE
-        search.seek(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
-    search.look(price)
+        search.reopen_worst_leaves(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
+    search.expand_boxes(price)
     now, fits, beyond = search.best(price), None, None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share > 1:
@@ -557,6 +513,5 @@ def _best_within(search: ConeSearch) -> FoundTree | None:
 
 
 def _price_between(fits: FoundTree, beyond: FoundTree) -> float:
-    """A price at which a tree is expected to use up the limits."""
     share = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
     return fits.price * (beyond.price / fits.price) ** float(np.clip(share, 0.05, 0.95))
