@@ -35,7 +35,7 @@ def numba_loop(plr: PLR, parallel: bool) -> Loop:
         if tables.blocks is None
         else np.stack([np.asarray(word) for word in tables.blocks.words])
     )
-    leaf_of_slot, planes = np.asarray(tables.leaf_of_slot), np.asarray(tables.numbers).reshape(-1)
+    leaf_of_slot, planes = np.asarray(tables.leaf_of_slot), np.asarray(tables.leaf_parameters).reshape(-1)
 
     @numba.njit
     def serial(x, words, leaf_of_slot, planes):
@@ -144,7 +144,7 @@ def _value_of(tables: Tables) -> Callable[[Any, int, Any, Any], Any]:
 
     dim, infinite = tables.dim, np.float32(np.inf)
     lo, hi = _row(tables, Frame.LO), _row(tables, Frame.HI)
-    a_leaf, a_term = (1, tables.numbers.shape[1]) if tables.numbers.ndim == 2 else (dim + 1, 1)
+    a_leaf, a_term = (1, tables.leaf_parameters.shape[1]) if tables.leaf_parameters.ndim == 2 else (dim + 1, 1)
 
     @numba.njit(inline="always")
     def value_of(x, i, leaf, planes):

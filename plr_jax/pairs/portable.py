@@ -39,10 +39,10 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import Frame, frame_of
-from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, place_along
+from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, fraction_along
 from plr_jax.plr.portable.javascript import js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
-from plr_jax.plr.portable.writers import ends_of
+from plr_jax.plr.portable.writers import format_domain
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""
@@ -260,7 +260,7 @@ class NumpyPairs:
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
         """The corners that points' leaves list, and how far they are."""
         above = p.T - self._frame[Frame.LO][:, None]
-        places = [place_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
+        places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
         return listed, _length(p[:, None] - around.corners[listed].astype(np.float32))
 
@@ -277,7 +277,7 @@ def js_pairs_reader() -> str:
 def js_pairs_module(data: bytes, domain: Box) -> str:
     """Return the module of a file of pairs: see :meth:`PairPLR.js_module`."""
     return f"""\
-// The distance between any two points of {ends_of(domain)}, by plr_jax.
+// The distance between any two points of {format_domain(domain)}, by plr_jax.
 //
 // distance([x, y], [x, y]): Infinity outside this closed domain and where no path leads, NaN where a coordinate is.
 // waypoint(from, to): where to go straight to from a point towards another one; NaN where no way leads.

@@ -213,11 +213,11 @@ class Outline:
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
     """The outline that comes next; raises ``ValueError`` if it is none."""
-    step = np.frombuffer(body.read_alike(2, 32).astype("<u4").tobytes(), "<f8")[0]
+    step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its points are {step} apart")
-    may_squeeze = bool(body.read_alike(1, 1)[0])
-    num_rings = int(body.read_alike(1, _COUNT_BITS)[0])
+    may_squeeze = bool(body.read_fixed_width(1, 1)[0])
+    num_rings = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     sizes = body.read_coded(num_rings)
     if not num_rings or sizes.min() < 3:
         raise ValueError("it has no ring of points, or one of fewer than three")

@@ -288,7 +288,7 @@ def _build_leaves(
 
 
 def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
-    return call_oracle(distance_fn, folding.unfolded(z))
+    return call_oracle(distance_fn, folding.unfold(z))
 
 
 def proof_of(certified: bool | str) -> Proof:
@@ -463,7 +463,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
-        certified.origin = BuildInputs(oracle, certified.num_bytes)
+        certified.build_inputs = BuildInputs(oracle, certified.num_bytes)
     return certified
 
 

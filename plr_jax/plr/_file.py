@@ -87,7 +87,7 @@ def decode_cells(data: bytes) -> Cells:
 # Functions of all leaves of a file: what is stored, and for leaves without one that of a neighbor.
 
 
-def counted_from(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
+def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
     """The domain that leaves partition, for points counted from an origin, and what a query of those reads of leaves.
 
     From the domain's own corner, neither is coarser the farther that is from the origin of coordinates. Folded points

@@ -17,12 +17,12 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
     DecodedFile,
-    counted_from,
     decode,
     decode_cells,
     encode,
     filled_coefficients,
     planes_of_leaves,
+    relative_to_origin,
 )
 from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
 from plr_jax.plr.certificate import Certificate
@@ -61,14 +61,14 @@ class PLR(FileBacked):
     """
 
     def __init__(
-        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, origin: BuildInputs | None = None
+        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, build_inputs: BuildInputs | None = None
     ) -> None:
         """Wrap the padded bytes of a file, which must be right: see :func:`from_bytes`.
 
-        ``origin`` is what the PLR was built from, which :meth:`updated` starts with. It is no part of the pytree.
+        ``build_inputs`` is what the PLR was built from, which :meth:`updated` starts with. It is no part of the pytree.
         """
         self.file = file
-        self.origin = origin
+        self.build_inputs = build_inputs
 
     @cached_property
     def tables(self) -> Tables:
@@ -113,28 +113,28 @@ class PLR(FileBacked):
         """Return the PLR with another label: see :meth:`FileBacked.with_label`."""
         labeled = super().with_label(label)
         if labeled is not self:
-            labeled.tables, labeled.band, labeled.origin = self.tables, self.band, self.origin
+            labeled.tables, labeled.band, labeled.build_inputs = self.tables, self.band, self.build_inputs
         return labeled
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        tables, placed = self._placed(x)
+        tables, placed = self._tables_and_points(x)
         if outside == "inf":
             return evaluate_points(tables, placed)
         return evaluate_points_anywhere(tables, placed, as_outside(outside))
 
-    def _placed(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
+    def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         """Tables to ask and points to ask them for."""
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_queries(x)
         if x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,):
-            tables, placement = self._placing
+            tables, placement = self._tables_and_placement
             return tables, x if placement is None else placement(x)
         return self.tables, x
 
     @property
-    def _placing(self) -> tuple[Tables, PointPlacement | None]:
+    def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
         """The tables for NumPy's 64-bit points, and what to do with these before they are rounded; None: nothing."""
         if isinstance(self.file, Tracer):
             return self.tables, None
@@ -173,7 +173,7 @@ class PLR(FileBacked):
         Raises:
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
-        band, (tables, placed) = self._require_band(), self._placed(x)
+        band, (tables, placed) = self._require_band(), self._tables_and_points(x)
         return bound_points(tables, band, placed)
 
     @property
@@ -223,7 +223,7 @@ class PLR(FileBacked):
             ValueError: If leaves have no sources, as only those of cones do, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
-        tables, placed = self._placed(x)
+        tables, placed = self._tables_and_points(x)
         source = waypoints_of_points(tables, placed)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
@@ -253,21 +253,21 @@ class PLR(FileBacked):
                 it is of is not known, or found to be another one than ``before``, or as for :func:`construct`.
         """
         require_updatable(self._contents)
-        origin = self.origin
-        if origin is None:
+        inputs = self.build_inputs
+        if inputs is None:
             if before is None:
                 raise ValueError(
                     "What this PLR was made of is not known, as of one from a file: give the oracle of the map "
                     "before, plr.updated(oracle, before)."
                 )
-            origin = BuildInputs(before, self.num_bytes)
-        elif before is not None and before is not origin.oracle:
-            origin = replace(origin, oracle=before, bounds=None, node_costs=None)
+            inputs = BuildInputs(before, self.num_bytes)
+        elif before is not None and before is not inputs.oracle:
+            inputs = replace(inputs, oracle=before, bounds=None, node_costs=None)
         if max_bytes is not None:
             require_integer("max_bytes", max_bytes, 1)
-            origin = replace(origin, max_bytes=int(max_bytes))
-        contents, origin = updated_contents(self._contents, origin, oracle, self.label)
-        plr = plr_of_leaves(contents, origin).with_label(self.label)
+            inputs = replace(inputs, max_bytes=int(max_bytes))
+        contents, inputs = updated_contents(self._contents, inputs, oracle, self.label)
+        plr = plr_of_leaves(contents, inputs).with_label(self.label)
         plr._contents = contents
         return plr
 
@@ -320,7 +320,7 @@ class PLR(FileBacked):
                 the PLRs, or a PLR has more dimensions than there are coordinates.
         """
         plrs = as_plrs(plrs)
-        tables, placements = zip(*(plr._placing for plr in plrs), strict=True)
+        tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
         return TableStack(tables, (None,) * len(plrs), placements)
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
@@ -457,9 +457,9 @@ def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
     """What queries read of a file of so many bytes, for points counted from an origin."""
-    domain, numbers = counted_from(contents, origin)
+    domain, numbers = relative_to_origin(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
-    return tables.of_folding(contents.folding, origin)
+    return tables.with_folding(contents.folding, origin)
 
 
 @jax.tree_util.register_dataclass
@@ -509,17 +509,17 @@ def from_bytes(data: bytes) -> PLR:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
     data = bytes(data)
-    return _assembled(data, decode(data))
+    return _assemble(data, decode(data))
 
 
-def plr_of_leaves(contents: DecodedFile, origin: BuildInputs | None = None) -> PLR:
+def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
     """Return the PLR that the file of these leaves gives, bit for bit, without reading the file."""
-    return _assembled(encode(contents), contents, origin)
+    return _assemble(encode(contents), contents, build_inputs)
 
 
-def _assembled(data: bytes, contents: DecodedFile, origin: BuildInputs | None = None) -> PLR:
+def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
     """Return the PLR of a file's bytes, with all that the first query needs; it does not keep the contents."""
-    plr = PLR(padded_file(data), origin=origin)
+    plr = PLR(padded_file(data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
     _ = plr.tables, plr.band, plr._corner_if_far
@@ -534,5 +534,5 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     """Index of the leaf that answers for each point."""
-    tables, placement = plr._placing
+    tables, placement = plr._tables_and_placement
     return np.asarray(find_leaves(tables, x if placement is None else placement(x))).astype(np.int64)

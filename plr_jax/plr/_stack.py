@@ -30,7 +30,7 @@ from plr_jax.plr.frame import (
     unresolved_types,
 )
 from plr_jax.plr.query import evaluate_tables
-from plr_jax.plr.tables import PerPointTable, Tables, Trie, laid_out
+from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
 # A trie: one table of many PLRs, of as many levels as the deepest needs, each of a few bits of a point's place.
@@ -106,12 +106,12 @@ def _pages(
         is_here = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (number == 0))
         here = cells[is_here]
         leaf, place = enumerate_boxes(here.position << (end - here.depth), np.int64(1) << (end - here.depth))
-        entries[_in_pages(place, page, begin, end)] = 2 * row[is_here][leaf]
+        entries[_page_entries(place, page, begin, end)] = 2 * row[is_here][leaf]
         _, place = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
         next_page, first = np.unique(row_major(place, end), return_index=True)
         if len(next_page):
             starts = next_start + (np.arange(len(next_page)) << (levels[number + 2] - end).sum())
-            entries[_in_pages(place[first], page, begin, end)] = 2 * starts + 1
+            entries[_page_entries(place[first], page, begin, end)] = 2 * starts + 1
             next_start = int(starts[-1]) + (1 << (levels[number + 2] - end).sum())
         yield entries.ravel().astype(np.uint32)
         page = next_page
@@ -119,7 +119,7 @@ def _pages(
             return
 
 
-def _in_pages(
+def _page_entries(
     place: Int[np.ndarray, "n dim"],
     page: Int[np.ndarray, "pages"],
     begin: Int[np.ndarray, "dim"],
@@ -138,7 +138,7 @@ class _SameShapeGroup:
     Attributes:
         arrays: Each array of the tables' structure, if it is the same for all; else those of all PLRs, side by side.
         trie: The rows of the numbers of their leaves.
-        numbers: One row a number, or a leaf's side by side, as in :class:`Tables`; leaves with the same share them.
+        leaf_parameters: One row a number, or a leaf's side by side, as in :class:`Tables`; leaves with the same share them.
         shapes: Of each array of one PLR; None if it is the same for all.
         structure: That of tables without leaves.
         first_bits: How many bits of a place the first level of the trie takes.
@@ -146,7 +146,7 @@ class _SameShapeGroup:
 
     arrays: tuple[Array, ...]
     trie: Trie
-    numbers: Float[Array, "count rows"] | Float[Array, "numbers"]
+    leaf_parameters: Float[Array, "count rows"] | Float[Array, "numbers"]
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})
     structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
     first_bits: int = field(metadata={"static": True})
@@ -165,7 +165,7 @@ class _SameShapeGroup:
         rows, distinct, num_rows = [], [], 0
         for plr, each in zip(plrs, tables, strict=True):
             # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
-            count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.numbers)
+            count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             key = np.zeros(plr.num_leaves, np.uint64)
             for column in np.ascontiguousarray(of_leaves).view(np.uint32):
@@ -181,7 +181,7 @@ class _SameShapeGroup:
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
         structure = jax.tree_util.tree_structure(frames[0])
         first_bits = int(levels[1].sum())
-        return cls(tuple(arrays), trie, jnp.asarray(laid_out(table)), tuple(shapes), structure, first_bits)
+        return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         """The tables of each point's PLR."""
@@ -191,7 +191,7 @@ class _SameShapeGroup:
         ]
         tables = jax.tree_util.tree_unflatten(self.structure, picked)
         trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
-        return replace(tables, trie=trie, numbers=self.numbers)
+        return replace(tables, trie=trie, leaf_parameters=self.leaf_parameters)
 
 
 @jax.tree_util.register_dataclass
@@ -287,7 +287,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             blocks=None,
             pages=None,
             leaf_of_slot=jnp.zeros(0, np.uint16),
-            numbers=jnp.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
+            leaf_parameters=jnp.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
         )
         for each in tables
     ]

@@ -267,8 +267,8 @@ def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leav
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
     """Read what :func:`write_classes` appended; ``ValueError`` describes damaged data."""
-    count = int(body.read_alike(1, _COUNT_BITS)[0]) + 1
-    classes = body.read_alike(2 * count, _CODE_BITS).reshape(2, count)
+    count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
+    classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for _ in range(count - 1):
         rest = rest[body.read_set(len(rest))]
@@ -407,7 +407,7 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certific
     if scale < 0:
         codes = read_classes(body, num_leaves)
     elif proof is not Proof.CLASSES:
-        codes = body.read_alike(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
+        codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
     return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
 
 

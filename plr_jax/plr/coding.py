@@ -144,7 +144,7 @@ class BitReader:
         np.add.at(values, field, bits << within)
         return values
 
-    def read_alike(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
+    def read_fixed_width(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
         """The next values, all of one width; raises ``ValueError`` past the end."""
         return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
@@ -158,7 +158,7 @@ class BitReader:
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
         """The next numbers, written as 32-bit floats."""
-        return floats_of_bits(self.read_alike(num_values, 32))
+        return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
         """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
@@ -168,7 +168,7 @@ class BitReader:
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
         """The members of the next set, ascending; so what is read takes no more memory than they do."""
-        num_members = int(self.read_alike(1, _COUNT_BITS)[0])
+        num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
         gaps = self.read_coded(num_members)
@@ -180,7 +180,7 @@ class BitReader:
         """The next Exp-Golomb codes; raises ``ValueError`` past the end or where one is too large."""
         if not num_values:
             return np.zeros(0, np.int64)
-        order = int(self.read_alike(1, _ORDER_BITS)[0])
+        order = int(self.read_fixed_width(1, _ORDER_BITS)[0])
         extra = self.read_unary(num_values)
         if order + extra.max() > _MAX_WIDTH:
             raise ValueError("it holds a number that is too large")
@@ -244,8 +244,8 @@ def read_tree(body: BitReader, dim: int) -> Tree:
     while num_nodes:
         if len(axes) > MAX_DEPTH:
             raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
-        inner = body.read_alike(num_nodes, 1) == 1
-        axis = body.read_alike(int(np.count_nonzero(inner)), _axis_bits(dim))
+        inner = body.read_fixed_width(num_nodes, 1) == 1
+        axis = body.read_fixed_width(int(np.count_nonzero(inner)), _axis_bits(dim))
         if (axis >= dim).any():
             raise ValueError(f"it splits axis {axis.max()} of {dim}")
         axes.append(np.full(num_nodes, -1))

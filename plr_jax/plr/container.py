@@ -281,7 +281,7 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     if not mirrors:
         raise ValueError("its folding folds nothing")
     folding = Folding(domain, center, axes, mirrors)
-    if folding.cutting != mirrors:
+    if folding.cutting_mirrors != mirrors:
         raise ValueError("its folding has a mirror that does not cut the domain")
     return folding
 

@@ -50,7 +50,7 @@ class Folding:
     @cached_property
     def box(self) -> Box:
         """The box that holds all folded points, which leaves partition."""
-        lo, hi = self._seen
+        lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
         lo, hi = np.where(is_reversed, -largest, lo), np.where(is_reversed, largest, hi)
@@ -60,15 +60,15 @@ class Folding:
         return Box(np.where(periodic, -half, lo), np.where(periodic, half, hi), self.domain.periodic)
 
     @property
-    def cutting(self) -> tuple[tuple[bool, ...], ...]:
+    def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
         """The mirrors that have points of the domain on either side."""
-        lo, hi = self._seen
+        lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
         return tuple(mirror for mirror, pivot in pairs if min(-lo[pivot], hi[pivot]) > least[pivot])
 
     @property
-    def _seen(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+    def _range_before_mirroring(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
         """Least and largest coordinates of the domain before mirroring."""
         ends = self.axes * (self.domain.lo - self.center), self.axes * (self.domain.hi - self.center)
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
@@ -96,7 +96,7 @@ class Folding:
         near = _CUT * self.domain.width
         return (x >= self.domain.lo - near) & (x <= self.domain.hi + near) & ~np.array(self.domain.periodic)
 
-    def unfolded(self, z: Points) -> Points:
+    def unfold(self, z: Points) -> Points:
         """For each folded point one that folds to it, in the domain if any is."""
         found, missing = None, np.ones(len(z), bool)
         for x, inside in self.images(z):
@@ -163,7 +163,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
         vectors *= np.sign(vectors[largest, np.arange(len(largest))])
         axes[np.ix_(mixes, mixes)] = vectors.T
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
-    mirrors = _with_pivots(signs < 0, ~np.array(domain.periodic))
+    mirrors = _assign_pivots(signs < 0, ~np.array(domain.periodic))
 
     # 3. The point nearest to the middle of the domain that no symmetry moves.
     middle = (domain.lo + domain.hi) / 2
@@ -178,12 +178,12 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 
     # 4. The mirrors that cut the domain, if they make it smaller.
     folding = Folding(domain, center, axes, mirrors)
-    folding = replace(folding, mirrors=folding.cutting)
+    folding = replace(folding, mirrors=folding.cutting_mirrors)
     is_smaller = np.prod(folding.box.width) < np.prod(domain.width) * (1 - _SAME_PLACE)
     return folding if folding.mirrors and is_smaller else None
 
 
-def _with_pivots(
+def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
     """Mirrors that make the same symmetries, each with an axis that no other reverses: row echelon form modulo 2.

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Integer, UInt32
 from plr_jax._arrays import padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
-from plr_jax.plr.tables import Blocks, FoldedWindow, Tables, Trie
+from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 _SHIFTS = np.uint32(WORD_BITS - 1)  # a mask, which tells the compiler that no shift is by 32 bits or more
@@ -27,22 +27,22 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float
 
     Raises ``ValueError`` for points of another shape or type; what is checked does not depend on their values.
     """
-    x = _in_floats(tables, x)
+    x = _as_float_points(tables, x)
     if outside == "clamp":
-        nearest, way = _clamped(tables if tables.folding is None else tables.folding, x)
+        nearest, way = _clamp(tables if tables.folding is None else tables.folding, x)
         return evaluate_tables(tables, nearest) + way
     if tables.folding is not None:
         is_outside, answer = outside_domain(tables.folding, x)
-        value = evaluate_tables(replace(tables, folding=None), _folded(tables.folding, x, is_outside))
+        value = evaluate_tables(replace(tables, folding=None), _fold(tables.folding, x, is_outside))
     else:
-        x = _wrapped(tables, x) if tables.periodic else x
+        x = _wrap(tables, x) if tables.periodic else x
         row = find_row(tables, jax.lax.stop_gradient(x))
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
     return jnp.where(is_outside, jnp.full_like(answer, jnp.nan) if outside == "nan" else answer, value)
 
 
-def _in_floats(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
+def _as_float_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
     """Points in 32 or 64 bits, which must resolve the domain."""
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
@@ -59,7 +59,7 @@ def bounds_of_tables(
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Lower and upper bounds of the distance at each point: what is answered, and the band of its leaf, or of all.
 
-    Both are rounded outward; the lower one is at least 0.
+    Both are without_fusion outward; the lower one is at least 0.
     """
     value = evaluate_tables(tables, x)
     if band.shape[1] == 1:
@@ -68,7 +68,7 @@ def bounds_of_tables(
         leaf = lookup(tables, jax.lax.stop_gradient(x.astype(value.dtype)))
         below, above = gather(band[0], leaf), gather(band[1], leaf)
     lower, upper = (
-        moved(bound, jnp.nextafter(jax.lax.stop_gradient(bound), jnp.asarray(toward, value.dtype)))
+        straight_through(bound, jnp.nextafter(jax.lax.stop_gradient(bound), jnp.asarray(toward, value.dtype)))
         for bound, toward in (
             (value + below.astype(value.dtype), -jnp.inf),
             (value + above.astype(value.dtype), jnp.inf),
@@ -79,9 +79,9 @@ def bounds_of_tables(
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
     """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
-    x = jax.lax.stop_gradient(_in_floats(tables, x))
+    x = jax.lax.stop_gradient(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
-    numbers = _numbers(tables, find_row(tables, x), x.dtype)
+    numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
     source = jnp.stack(tables.leaf.source_of(numbers), axis=-1)
     source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
     return jnp.where((outside | jnp.isnan(answer))[..., None], jnp.nan, source)
@@ -93,8 +93,8 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
     Points outside the domain, and NaN, get some leaf.
     """
     if tables.folding is not None:
-        return lookup(replace(tables, folding=None), _folded(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
-    row = find_row(tables, _wrapped(tables, x) if tables.periodic else x)
+        return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
+    row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
 
@@ -105,20 +105,20 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
     """
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
-    places = [_place(tables, x, axis) for axis in range(tables.dim)]
-    index = _joined_bits(places, *tables.bits)
+    fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
+    index = _join_bits(fractions, *tables.bits)
     if tables.pages is not None:
         # Slot of points in given blocks.
         mask, right, start = tables.pages.bits
         word = gather(tables.pages.words, index)
-        return (word >> (start[0] & _SHIFTS)) + (word & _joined_bits(places, mask, right))
+        return (word >> (start[0] & _SHIFTS)) + (word & _join_bits(fractions, mask, right))
     if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, places, index)
+        index = _index_in_block(tables.blocks, fractions, index)
     return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
 def _index_in_block(
-    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+    blocks: Blocks, fractions: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
 ) -> UInt32[Array, "*batch"]:
     """Index into ``leaf_of_slot`` of points in given blocks."""
     index = start = jnp.zeros_like(block)
@@ -127,7 +127,7 @@ def _index_in_block(
         word = gather(table, block)
         for slot in range(axes):
             bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & _SHIFTS)) - np.uint32(1))
+            within = fractions[axis] & ((np.uint32(1) << (blocks.shift[axis] & _SHIFTS)) - np.uint32(1))
             index = (index << bits) | (within >> ((blocks.shift[axis] - bits) & _SHIFTS))
             axis += 1
         if number == 0:
@@ -135,27 +135,29 @@ def _index_in_block(
     return start + index
 
 
-def _folded(
-    window: FoldedWindow, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
+def _fold(
+    window: FoldedDomain, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch dim"]:
     """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
     axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
-    z = [jnp.where(outside, 0, rounded(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
+    z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
         turned = window.axes.astype(x.dtype)
-        z = [reduce(jnp.add, (rounded(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
+        z = [reduce(jnp.add, (without_fusion(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
     for pivot, reversed_axes in window.mirrors:
         is_behind = z[pivot] < 0
         for axis in reversed_axes:
             z[axis] = jnp.where(is_behind, -z[axis], z[axis])
     lo, hi = window.corners.astype(x.dtype)  # only rounding puts coordinates outside
-    columns = [moved(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in axes]
+    columns = [
+        straight_through(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in axes
+    ]
     # Computed once: a compiler would repeat all this wherever a coordinate is read.
     return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 def outside_domain(
-    tables: Tables | FoldedWindow, x: Float[Array, "*batch dim"]
+    tables: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
     """Whether each wrapped point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
@@ -165,7 +167,7 @@ def outside_domain(
         answer += jnp.abs(above)  # NaN if any coordinate is
         if axis in tables.periodic:
             outside |= jnp.isinf(above)
-        elif x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+        elif x.dtype == jnp.float64:  # which can tell the true corners from the without_fusion ones
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
         else:
@@ -173,8 +175,8 @@ def outside_domain(
     return outside, answer
 
 
-def _clamped(
-    window: Tables | FoldedWindow, x: Float[Array, "*batch dim"]
+def _clamp(
+    window: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Float[Array, "*batch dim"], Float[Array, "*#batch"]]:
     """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
     is_finite = jnp.isfinite(x).all(axis=-1)
@@ -200,12 +202,12 @@ def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
         return jnp.zeros(())
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)
-    square = reduce(jnp.add, (rounded(jnp.square(each / scale)) for each in along))
-    return rounded(scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0))
+    square = reduce(jnp.add, (without_fusion(jnp.square(each / scale)) for each in along))
+    return without_fusion(scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0))
 
 
-def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Points moved by whole periods to between the ends of periodic axes, the upper of which becomes the lower.
+def _wrap(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """Points straight_through by whole periods to between the ends of periodic axes, the upper of which becomes the lower.
 
     A compiler may round the product and the difference at once in one part of a query and apart in another. That
     moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
@@ -216,8 +218,8 @@ def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*ba
         lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
         turns = jnp.floor((along - lo) * frame[Frame.SCALE])
         is_end = jnp.abs(along - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
-        inside = jnp.where(is_end, lo, jnp.clip(along - rounded(turns * (hi - lo)), lo, hi))
-        columns[axis] = moved(columns[axis], jnp.where(jnp.isfinite(along), inside, along))
+        inside = jnp.where(is_end, lo, jnp.clip(along - without_fusion(turns * (hi - lo)), lo, hi))
+        columns[axis] = straight_through(columns[axis], jnp.where(jnp.isfinite(along), inside, along))
     return jnp.stack(columns, axis=-1)
 
 
@@ -225,13 +227,13 @@ def _value(
     tables: Tables, row: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
     """Value of the leaf at each point; if that is ``outside`` the domain, any number will do."""
-    numbers, frame, place = _numbers(tables, row, x.dtype), tables.frame.astype(x.dtype), []
+    numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_cell_relative:
             # From 0 to 1 in the interval of that number, or beyond by as much as the lookup rounds a point across a
             # border. Products and the difference are exact, so both leaves at a face see the same point.
-            u = rounded(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
+            u = without_fusion(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
             number = jax.lax.bitcast_convert_type(numbers[axis].astype(jnp.float32), jnp.uint32)
             count = jax.lax.bitcast_convert_type(number & _EXPONENT, jnp.float32).astype(u.dtype)
             along = u * count - (numbers[axis] - count)
@@ -242,7 +244,7 @@ def _value(
 
 @dataclass(frozen=True)
 class _Unfused:
-    """Numbers whose products are rounded before they are added, as the format says."""
+    """Numbers whose products are without_fusion before they are added, as the format says."""
 
     value: Float[Array, "*batch"]
 
@@ -253,15 +255,20 @@ class _Unfused:
         return _Unfused(self.value - other.value)
 
     def __mul__(self, other: "_Unfused") -> "_Unfused":
-        return _Unfused(rounded(self.value * other.value))
+        return _Unfused(without_fusion(self.value * other.value))
 
 
-def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> list[Float[Array, "*batch"]]:
+def _leaf_parameters(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> list[Float[Array, "*batch"]]:
     """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
-    if tables.numbers.ndim == 2:
-        return [gather(tables.numbers[which], row).astype(dtype) for which in range(len(tables.numbers))]
+    if tables.leaf_parameters.ndim == 2:
+        return [
+            gather(tables.leaf_parameters[which], row).astype(dtype) for which in range(len(tables.leaf_parameters))
+        ]
     count = tables.leaf.num_leaf_parameters(tables.dim)
-    return [gather(tables.numbers, row * np.uint32(count) + np.uint32(which)).astype(dtype) for which in range(count)]
+    return [
+        gather(tables.leaf_parameters, row * np.uint32(count) + np.uint32(which)).astype(dtype)
+        for which in range(count)
+    ]
 
 
 @jax.custom_jvp
@@ -271,7 +278,7 @@ def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*ba
 
 
 @_zero_if_differentiated.defjvp
-def _zero_with_tangent(primals, tangents):
+def _zero_tangent(primals, tangents):
     t, outside = primals
     return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
@@ -283,12 +290,12 @@ def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 
 
 @_root.defjvp
-def _root_with_tangent(primals, tangents):
+def _root_tangent(primals, tangents):
     root = jnp.sqrt(primals[0])
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
+def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
     """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
 
     Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
@@ -305,12 +312,12 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
     return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
 
 
-def _joined_bits(
-    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
+def _join_bits(
+    fractions: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
     return reduce(
-        jnp.bitwise_or, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(places)]
+        jnp.bitwise_or, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)]
     )
 
 
@@ -323,9 +330,9 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
     """
 
     def descend(entry: UInt32[Array, "*batch"], bits: UInt32[Array, "2 dim"]) -> UInt32[Array, "*batch"]:
-        places = [_place(tables, x, axis) for axis in range(tables.dim)]
+        fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
         is_page = jnp.uint32(0) - (entry & np.uint32(1))  # all bits or none
-        return gather(trie.entries, (entry >> np.uint32(1)) + (_joined_bits(places, bits[0], bits[1]) & is_page))
+        return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
 
     entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
     for level in range(1, len(trie.bits)):
@@ -341,20 +348,20 @@ def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, 
 
 
 @jax.custom_jvp
-def moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def straight_through(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """What numbers become that computing moves a little, or by whole periods; differentiated as if they stayed."""
     return to
 
 
-@moved.defjvp
-def _moved_with_tangent(primals, tangents):
+@straight_through.defjvp
+def _straight_through_tangent(primals, tangents):
     return primals[1], tangents[0]
 
 
-def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def without_fusion(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
     constant = jax.lax.stop_gradient(value)
-    return moved(value, jnp.where(constant == constant, constant, jnp.nan))
+    return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
 
 
 # What is compiled, and the points that it is given.
@@ -402,7 +409,7 @@ _CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """The tables of several PLRs, one a robot, and how some want their points placed before they are rounded.
+    """The tables of several PLRs, one a robot, and how some want their points placed before they are without_fusion.
 
     See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
     """

@@ -114,7 +114,7 @@ class PerPointTable:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class FoldedWindow:
+class FoldedDomain:
     """A domain whose points are folded before their leaves are looked up.
 
     Attributes:
@@ -355,7 +355,7 @@ class Tables:
         blocks: Coarse level of a two-level table, or None.
         pages: Coarse level of a table with pages, or None; without either it is flat.
         leaf_of_slot: Leaf of each slot.
-        numbers: What the leaf model reads of each leaf, or of each slot of a table with pages. Small tables have one
+        leaf_parameters: What the leaf model reads of each leaf, or of each slot of a table with pages. Small tables have one
             row a number, which takes the least arithmetic, and so have pages, as most of their slots are hardly ever
             read. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits for a
             cache line or two and not for one a number.
@@ -372,10 +372,10 @@ class Tables:
     blocks: Blocks | None
     pages: Pages | None
     leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
-    numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
+    leaf_parameters: Float[Array, "count padded"] | Float[Array, "numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
-    folding: FoldedWindow | None = None
+    folding: FoldedDomain | None = None
     trie: Trie | None = None
     unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())
 
@@ -384,12 +384,12 @@ class Tables:
         """Number of axes."""
         return self.frame.shape[1]
 
-    def of_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
+    def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
         """The same, of points that are folded, and counted from an origin."""
         if folding is None:
             return self
         domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
-        window = FoldedWindow(
+        window = FoldedDomain(
             frame=jnp.asarray(frame_of(domain)),
             center=jnp.asarray(center),
             corners=jnp.asarray(corners),
@@ -432,7 +432,7 @@ def build_tables(
         slots = 1 << max(slot_bits_of_rows(rows_of_file), (len(leaf_of_slot) - 1).bit_length())
         top = bits if flat else block_bits
         blocks = None if flat else pack_blocks(shape, offset, FRACTION_BITS - top)
-        of_leaves = laid_out(padded(numbers, rows))
+        of_leaves = arrange_parameters(padded(numbers, rows))
     # An index is made of the first bits along each axis of a point's place.
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
@@ -441,14 +441,14 @@ def build_tables(
         blocks=blocks,
         pages=pages,
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot, slots)),
-        numbers=jnp.asarray(of_leaves),
+        leaf_parameters=jnp.asarray(of_leaves),
         leaf=leaf,
         periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
         unresolved=unresolved_types(domain),
     )
 
 
-def laid_out(
+def arrange_parameters(
     numbers: Float[np.ndarray, "rows count"],
 ) -> Float[np.ndarray, "count rows"] | Float[np.ndarray, "numbers"]:
     """Numbers of leaves as :class:`Tables` has them: one row a number, of large tables a leaf's side by side."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.traced.any_angle import ALL_KEPT, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
+from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
 from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
@@ -125,7 +125,7 @@ def grid_distance(
             between two blocked cells that touch in a corner: what ``VisibilityGraph`` measures in
             ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells with a common side, from the cell that
             holds a point to the cell that holds the goal. 8: also diagonal ones, of the square root of 2, where both
-            cells beside them are free.
+            cells neighbors_of them are free.
         max_corners: For how many corners of blocked cells, at which any-angle paths can bend, there are places: by
             default for all if the grid is at most 17 x 17, else half as many as there are corners of cells. Time and
             memory grow with its square. Where a map has more, answers are NaN and ``is_complete`` is false. Not for
@@ -153,7 +153,7 @@ def grid_distance(
         raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for several.")
     if moves == "any-angle":
         inside = (h - 1) * (w - 1)
-        count = min(inside, max_corners or (inside if inside <= ALL_KEPT else -(-inside // 2)))
+        count = min(inside, max_corners or (inside if inside <= MAX_LATTICE else -(-inside // 2)))
         if count > MOST_CORNERS:
             raise ValueError(
                 f"A grid of {h} x {w} cells has too many corners for any-angle paths, {count:,} of at most "
@@ -179,17 +179,17 @@ def _paths(
     free: Mask, goal: Float[Array, "2"], moves: Moves, count: int
 ) -> tuple[Steps | CornerPaths, Bool[Array, ""]]:
     if moves != "any-angle":
-        return Steps.to(free, goal, moves), jnp.array(True)
+        return Steps.to_goal(free, goal, moves), jnp.array(True)
     corners, is_complete = convex_corners(free, count)
-    return CornerPaths.to(corners, goal), is_complete
+    return CornerPaths.to_goal(corners, goal), is_complete
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
 def _pairs(free: Mask, moves: Moves, count: int) -> tuple[StepPairs | CornerPairs, Bool[Array, ""]]:
     if moves != "any-angle":
-        return StepPairs.of(free, moves), jnp.array(True)
+        return StepPairs.of_grid(free, moves), jnp.array(True)
     corners, is_complete = convex_corners(free, count)
-    return CornerPairs.of(corners), is_complete
+    return CornerPairs.of_grid(corners), is_complete
 
 
 @jax.jit

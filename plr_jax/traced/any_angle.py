@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, free_cells, packed
+from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, free_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
@@ -26,7 +26,7 @@ Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12
 """Corners whose lengths take 64 megabytes."""
-ALL_KEPT = 2**8
+MAX_LATTICE = 2**8
 """Corners inside a grid up to which all have places by default; of more, half."""
 
 
@@ -43,7 +43,7 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
     return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_free
 
 
-def crosses_nothing(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
+def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Whether segments between points, both inside free cells, cross no blocked cell."""
     hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
@@ -84,7 +84,7 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 # Ends that do not depend on the map.
 
 
-def sees_between(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
+def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
     """Whether the segments of a table cross no blocked cell."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
@@ -128,7 +128,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     return np.ascontiguousarray(np.moveaxis(words, 2, 0)).astype(np.uint32)
 
 
-def _towards(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
+def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
     """Of both the one on the side of other points."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
@@ -153,14 +153,14 @@ class Corners:
     @property
     def _is_lattice(self) -> bool:
         """Whether every corner inside the grid has its place: what segments between them cross is then in a table."""
-        return len(self.index) == len(lattice(self.free.shape)) <= ALL_KEPT
+        return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Where they are."""
         corners = jnp.asarray(lattice(self.free.shape), dtype)
         return corners if self._is_lattice else corners[self.index]
 
-    def _pulled(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
+    def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Points near them, inside the cells that are opposite of the blocked ones."""
         blocked = (~self.free).astype(dtype)
         lower_left, lower_right = blocked[:-1, :-1], blocked[:-1, 1:]
@@ -175,30 +175,30 @@ class Corners:
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, "n"]:
         """Whether points, moved inside free cells, see each other."""
-        return crosses_nothing(
-            packed(~self.free), self.free.shape, _towards(a, b.mean(axis=-2)), _towards(b, a.mean(axis=-2))
+        return is_unobstructed(
+            pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
         """Which places are seen from points, moved inside free cells, if they hold a convex corner."""
-        corners = self._pulled(ends.dtype)[None]
-        return crosses_nothing(packed(~self.free), self.free.shape, _towards(ends[:, None], corners), corners)
+        corners = self._inset_points(ends.dtype)[None]
+        return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
     def seen_from_centers(self, dtype: jnp.dtype) -> Bool[Array, "cells corners"]:
         """Which places are seen from the centers of cells, row by row, if they hold a convex corner."""
         if self._is_lattice:
             table = crossed_cells(self.free.shape, from_centers=True)
-            return sees_between(table, packed(~self.free.reshape(1, -1))[0])
+            return are_unobstructed(table, pack(~self.free.reshape(1, -1))[0])
         return self.seen_from(inside_free_cells(self.free, jnp.asarray(cell_centers(self.free.shape), dtype))[0])
 
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
         """Between those that see each other the length of the segment, else ``inf``."""
         if self._is_lattice:
-            left, blocked = crossed_cells(self.free.shape, from_centers=False), packed(~self.free.reshape(1, -1))[0]
-            seen = sees_between(left, blocked) | sees_between(left.swapaxes(1, 2), blocked)
+            left, blocked = crossed_cells(self.free.shape, from_centers=False), pack(~self.free.reshape(1, -1))[0]
+            seen = are_unobstructed(left, blocked) | are_unobstructed(left.swapaxes(1, 2), blocked)
         else:
-            pulled = self._pulled(dtype)
-            seen = crosses_nothing(packed(~self.free), self.free.shape, pulled[:, None], pulled[None])
+            pulled = self._inset_points(dtype)
+            seen = is_unobstructed(pack(~self.free), self.free.shape, pulled[:, None], pulled[None])
         seen &= self.is_convex[None] & self.is_convex[:, None] & ~jnp.eye(len(self.index), dtype=bool)
         points = self.points(dtype)
         return jnp.where(seen, distance(points[:, None], points[None]), jnp.inf)
@@ -228,7 +228,7 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 
 @jax.custom_jvp
-def from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
+def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
     """Distances of corners to a goal, from those of the corners that it sees, ``inf`` for others."""
 
     def relaxed(state):
@@ -239,10 +239,10 @@ def from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Length
     return lax.while_loop(lambda state: state[1], relaxed, (seen, jnp.array(True)))[0]
 
 
-@from_seen.defjvp
+@relax_from_seen.defjvp
 def _(primals, tangents):
     lengths, seen = primals
-    through = from_seen(lengths, seen)
+    through = relax_from_seen(lengths, seen)
     corners = jnp.arange(len(seen))
     onward = jnp.where(seen <= through, corners, jnp.argmin(lengths + through[None], axis=1))
     for _ in range(len(seen).bit_length()):
@@ -266,13 +266,13 @@ class CornerPaths:
     goal: Float[Array, "*maps 2"]
 
     @classmethod
-    def to(cls, corners: Corners, goal: Float[Array, "2"]) -> "CornerPaths":
+    def to_goal(cls, corners: Corners, goal: Float[Array, "2"]) -> "CornerPaths":
         """Those to a goal."""
         lengths = corners.lengths(goal.dtype)
         (ends,), (is_free,) = inside_free_cells(corners.free, goal[None])
         seen = corners.seen_from(ends[None])[0] & is_free & corners.is_convex
         from_goal = _length(seen, goal[None], corners.points(goal.dtype))
-        return cls(corners, from_seen(lengths, from_goal), goal)
+        return cls(corners, relax_from_seen(lengths, from_goal), goal)
 
     @jax.jit
     def cells(self) -> Float[Array, "h w"]:
@@ -292,8 +292,8 @@ class CornerPaths:
         through = jnp.isfinite(self.distances)[None] & seen
         to_goal = _length(sees_goal, x, goal)[:, None]
         to_corners = _length(through, x[:, None], self.corners.points(x.dtype)[None])
-        legs, onward = jnp.append(to_goal, to_corners, axis=1), jnp.append(0, self.distances)
-        value = _shortest(legs, jnp.broadcast_to(onward.astype(x.dtype), legs.shape))
+        first, onward = jnp.append(to_goal, to_corners, axis=1), jnp.append(0, self.distances)
+        value = _shortest(first, jnp.broadcast_to(onward.astype(x.dtype), first.shape))
         return jnp.where(is_free, value, jnp.inf)
 
 
@@ -311,7 +311,7 @@ class CornerPairs:
     between: Float[Array, "*maps corners corners"]
 
     @classmethod
-    def of(cls, corners: Corners) -> "CornerPairs":
+    def of_grid(cls, corners: Corners) -> "CornerPairs":
         """Those of a grid."""
         lengths = corners.lengths(jnp.zeros(()).dtype)
         own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
@@ -338,21 +338,21 @@ def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Ar
 
 
 @jax.custom_jvp
-def _shortest(legs: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
+def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
     """The least sum of a first leg and what follows, with the gradient of one such sum alone.
 
     Of sums that are as small to rounding it is the first whose leg is no point: at a corner, the leg to that corner
     has no direction, but the corner's own path has.
     """
-    return jnp.min(legs + onward, axis=-1)
+    return jnp.min(first + onward, axis=-1)
 
 
 @_shortest.defjvp
 def _(primals, tangents):
-    legs, onward = primals
-    total, change = legs + onward, tangents[0] + tangents[1]
+    first, onward = primals
+    total, change = first + onward, tangents[0] + tangents[1]
     least = jnp.min(total, axis=-1)
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
-    one = jnp.argmax(jnp.where(is_least, jnp.where(legs > 0, 2, 1), 0), axis=-1)
+    one = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
     is_one = jnp.arange(total.shape[-1]) == one[..., None]
     return least, jnp.sum(jnp.where(is_one, change, 0), axis=-1)

@@ -27,27 +27,27 @@ WORD = 32
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
-def packed(cells: Mask) -> Words:
+def pack(cells: Mask) -> Words:
     """Rows of cells as bits, the first column the lowest bit of the first word."""
     h, w = cells.shape
     bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
     return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
 
 
-def unpacked(words: Words, w: int) -> UInt32[Array, "h w"]:
+def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
     """The bits of ``w`` columns, each 0 or 1."""
     bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
     return bits.reshape(len(words), -1)[:, :w]
 
 
-def marked(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
+def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
     """The bits of a grid of which one cell alone is set."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
 
 
-def beside(words: Grids) -> Grids:
+def neighbors_of(words: Grids) -> Grids:
     """The neighbors of cells, in their row and in the rows above and below."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
@@ -89,10 +89,10 @@ class Steps:
     table: Float[Array, "*maps h w"]
 
     @classmethod
-    def to(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
+    def to_goal(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
         """Those to a goal."""
         lowest, highest, is_free = free_cells(free, goal)
-        start = marked(free.shape, *lowest) | marked(free.shape, *highest)
+        start = single_cell(free.shape, *lowest) | single_cell(free.shape, *highest)
         return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
 
     def cells(self) -> Distances:
@@ -117,10 +117,10 @@ class StepPairs:
     table: Float[Array, "*maps h w h w"]
 
     @classmethod
-    def of(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
+    def of_grid(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
         """Those of a grid."""
         rows, columns = jnp.indices(free.shape, dtype=jnp.int32).reshape(2, -1)
-        to_cell = jax.vmap(lambda row, column: distances(free, marked(free.shape, row, column), moves))
+        to_cell = jax.vmap(lambda row, column: distances(free, single_cell(free.shape, row, column), moves))
         return cls(to_cell(rows, columns).reshape(free.shape * 2))
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
@@ -134,12 +134,12 @@ class StepPairs:
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
     """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
-    w, start = free.shape[1], start & packed(free)
+    w, start = free.shape[1], start & pack(free)
     if moves == 8:
-        return _eight(free, unpacked(start, w) == 1)
-    reached, digits = _search(packed(free), start)
-    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
-    return jnp.where(unpacked(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
+        return _octile_distances(free, unpack(start, w) == 1)
+    reached, digits = _breadth_first_search(pack(free), start)
+    level = sum((unpack(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
+    return jnp.where(unpack(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
 
 
 # Breadth-first search over bits: a level of the whole grid takes a few operations on words. The level of a cell is a
@@ -148,7 +148,7 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 
 @custom_vmap
-def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
+def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
     """What is reached, and the digits of its levels."""
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
@@ -160,7 +160,7 @@ def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits
         fours, reached, ones_plane, twos_plane, planes, _ = state
         new = []
         for _ in range(4):
-            grown = passable & (reached | beside(reached))
+            grown = passable & (reached | neighbors_of(reached))
             new.append(grown ^ reached)
             reached = grown
         planes |= jnp.where(has_digit(fours), (new[0] | new[1] | new[2])[None], jnp.uint32(0))
@@ -174,13 +174,13 @@ def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits
     return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
 
 
-@_search.def_vmap
+@_breadth_first_search.def_vmap
 def _(size: Any, is_mapped: list[bool], *arguments: Any):
     last = [
         jnp.moveaxis(words, 0, -1) if mapped else jnp.broadcast_to(words[..., None], (*words.shape, size))
         for words, mapped in zip(arguments, is_mapped, strict=True)
     ]
-    reached, digits = _search(*last)
+    reached, digits = _breadth_first_search(*last)
     return (jnp.moveaxis(reached, -1, 0), jnp.moveaxis(digits, -1, 0)), (True, True)
 
 
@@ -192,7 +192,7 @@ MOST_CELLS = _FAR // _DIAGONAL
 """Up to so many cells the length of any path fits: it has fewer steps than there are cells."""
 
 
-def _eight(free: Mask, start: Mask) -> Distances:
+def _octile_distances(free: Mask, start: Mask) -> Distances:
     h, w = free.shape
 
     def at(padded, down: int, right: int):

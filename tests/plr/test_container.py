@@ -77,7 +77,7 @@ def test_what_is_written_is_read(rows, unary, coded, member):
     assert reader.read_unary(len(unary)).tolist() == unary
     assert reader.read_coded(len(coded)).tolist() == coded
     assert reader.read_set(len(member)).tolist() == member
-    assert reader.read_alike(1, 1)[0] == 1 and reader.at_end()
+    assert reader.read_fixed_width(1, 1)[0] == 1 and reader.at_end()
 
 
 @pytest.mark.filterwarnings("error")
@@ -101,7 +101,7 @@ def body_of_members(gaps):
     ("body", "read", "message"),
     [
         (BitWriter().write(np.array([255]), 8), lambda body: body.read(np.array([5, 4])), "end too early"),
-        (BitWriter().write(np.array([255]), 8), lambda body: body.read_alike(2**40, 1), "end too early"),
+        (BitWriter().write(np.array([255]), 8), lambda body: body.read_fixed_width(2**40, 1), "end too early"),
         (BitWriter().write(np.array([8]), 8), lambda body: body.read_unary(2), "end too early"),
         *(
             (body_of_code(order, extra), lambda body: body.read_coded(1), "a number that is too large")

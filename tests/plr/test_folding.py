@@ -82,7 +82,7 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
     x = (domain.lo + domain.width * share)[None]
     z = folding(x)
     assert folding.box.contains(z).all()
-    y = folding.unfolded(z)
+    y = folding.unfold(z)
     assert domain.contains(y).all()
     np.testing.assert_allclose(oracle(y), oracle(x), rtol=1e-9, atol=1e-6)
     assert any(np.abs(domain.difference(image, x)).max() < 1e-9 for image, _ in folding.images(z))

@@ -17,8 +17,8 @@ from experiments._c_headers import STRICT, compiled_header, object_for_size, sec
 from experiments._js_modules import NodeModule
 from plr_jax import Box, construct, load, load_numpy
 from plr_jax.plr._file import decode, encode
-from plr_jax.plr.portable.c import CWriter
-from plr_jax.plr.portable.javascript import JavaScriptWriter, js_cone_reader, js_file_reader, single
+from plr_jax.plr.portable.c import CEmitter
+from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
 
 # Answers of ``plr.numpy()``, against a slow reader that follows the words of the format, and against ``plr(x)``.
@@ -332,8 +332,8 @@ def test_decimals_are_read_as_the_same_number():
     numbers = rng.integers(0, 2**31, 20_000, dtype=np.uint32).view(np.float32)
     numbers = np.append(numbers[~np.isnan(numbers)], np.array([0.1, -0.0, np.inf], np.float32))
     for number in numbers:
-        read = np.float32(float(single(number).replace("Infinity", "inf")))
-        assert same_bits(read, number) and len(single(number)) < 24
+        read = np.float32(float(float32_literal(number).replace("Infinity", "inf")))
+        assert same_bits(read, number) and len(float32_literal(number)) < 24
 
 
 @pytest.mark.parametrize(
@@ -353,5 +353,5 @@ def test_decimals_are_read_as_the_same_number():
     ],
 )
 def test_texts_keep_the_order_of_operations_and_javascript_rounds_each(build, in_c, in_javascript):
-    for do, text in ((CWriter("a"), in_c), (JavaScriptWriter(), in_javascript)):
+    for do, text in ((CEmitter("a"), in_c), (JavaScriptEmitter(), in_javascript)):
         assert str(build(*(do.atom(name) for name in "xyz"))) == text

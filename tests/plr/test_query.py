@@ -21,7 +21,7 @@ from plr_jax.plr.tree import Cells
 def test_beyond_32_kilobytes_tables_are_as_large_as_their_leaves_need():
     """Leaves are counted in 16 bits while they can be."""
     small, large = (tables_of_numbers(random_partition(0, 2, 3), n) for n in (2**15, 2**15 + 1))
-    assert small.numbers.shape == (3, 2**14) and large.numbers.shape == (3, 4)
+    assert small.leaf_parameters.shape == (3, 2**14) and large.leaf_parameters.shape == (3, 4)
     for rows, kind in ((2**8, np.uint16), (2**9, np.uint32)):
         position = np.stack(np.meshgrid(np.arange(rows), np.arange(2**8), indexing="ij"), axis=-1).reshape(-1, 2)
         cells = Cells(np.tile([rows.bit_length() - 1, 8], (len(position), 1)), position)
@@ -86,7 +86,7 @@ def test_large_tables_have_a_leafs_numbers_side_by_side_and_answer_alike(monkeyp
     small = build_tables(UNIT, cells, numbers, Plane(), 1000)
     monkeypatch.setattr(tables, "_MAX_COLUMN_BYTES", 0)
     large = build_tables(UNIT, cells, numbers, Plane(), 1000)
-    assert small.numbers.ndim == 2 and large.numbers.ndim == 1
+    assert small.leaf_parameters.ndim == 2 and large.leaf_parameters.ndim == 1
     x = jnp.asarray(np.random.default_rng(0).random((500, 2)), jnp.float32)
     np.testing.assert_array_equal(evaluate_tables(large, x), evaluate_tables(small, x))
 
@@ -161,7 +161,7 @@ def test_small_trees_as_deep_as_one_another_have_pages_of_one_shape(max_axis_dep
         assert (cells.depth.max(axis=0) == max_axis_depth).all()
         tables = tables_of(cells)
         assert tables.blocks is None and tables.pages is not None and tables.pages.words.shape == (num_words,)
-        assert tables.leaf_of_slot.shape == (num_slots,) and tables.numbers.shape == (3, num_slots)
+        assert tables.leaf_of_slot.shape == (num_slots,) and tables.leaf_parameters.shape == (3, num_slots)
         assert_finds_leaves(tables, cells, seed)
         rng, domain = np.random.default_rng(seed), Box((-3, 1), (5.3, 2))
         numbers = rng.normal(size=(len(cells), 3))

@@ -123,17 +123,17 @@ def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: 
 
 def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
     """Read what :func:`write_planes` appended; ``ValueError`` describes damaged data."""
-    bits, offset, step = int(body.read_alike(1, _BITS_BITS)[0]), 0.0, 1.0
+    bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
     if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {bits}-bit values")
     if bits != FLOAT_BITS:
         offset, step = body.read_floats(2).tolist()
         if not (np.isfinite(offset) and 0 < step < np.inf):
             raise ValueError(f"it states a step of {step} from {offset}")
-    widths = [body.read_alike(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
+    widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
     if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
         raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-    center = body.read_alike(len(depth), bits)
+    center = body.read_fixed_width(len(depth), bits)
     half = np.zeros(depth.shape, np.int64)
     stored = center != unreachable_code(bits)
     for axis, axis_widths in enumerate(widths):

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr._file import DecodedFile, counted_from
+from plr_jax.plr._file import DecodedFile, relative_to_origin
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Frame,
@@ -47,7 +47,7 @@ class Operations:
         return np.where(condition, yes, no)
 
     def floor(self, x: Value) -> Value:
-        """The largest integer that is not above, in the precision of the value."""
+        """The largest integer that is not offsets, in the precision of the value."""
         return np.floor(x)
 
     def root(self, x: Value) -> Value:
@@ -66,24 +66,24 @@ class Operations:
 ARRAYS = Operations()
 
 
-def wrapped(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
+def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
     """A finite coordinate, moved by whole periods to between the ends, the upper of which becomes the lower."""
     turns = do.floor((x - lo) * scale)
-    moved = limited(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
+    moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
     from_end = x - hi
     is_end = (from_end <= tolerance) & (from_end >= -tolerance)
     return do.let("wrapped", do.where(is_end, lo, moved))
 
 
-def limited(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
+def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
     """The number between two others that is nearest."""
     return do.where(x < lo, lo, do.where(x > hi, hi, x))
 
 
-def place_along(do: Operations, above: Value, frame: Value) -> Value:
-    """The place along an axis, an integer of 23 bits, so far above the lower corner of a frame's column."""
+def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
+    """The place along an axis, an integer of 23 bits, so far offsets the lower corner of a frame's column."""
     start, top = frame[Frame.START], frame[Frame.TOP]
-    share = do.let("share", above * frame[Frame.SCALE])
+    share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
     if start < 1:
         placed = do.let("placed", placed)
@@ -108,7 +108,7 @@ class Program:
         window: Least and largest counted coordinates that have an answer; along periodic axes, before they are
             counted.
         periods: Ends of periodic axes, one over the width and a tolerance, in 32 bits.
-        wide_periods: The same of the domain in 64 bits.
+        double_periods: The same of the domain in 64 bits.
         fold: How counted points are folded: center, and what it leaves; axes, None if they are the domain's; mirrors;
             least and largest coordinates. None if they are not.
     """
@@ -121,52 +121,52 @@ class Program:
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        of_leaves, numbers = counted_from(contents, origin)
-        self.numbers = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
+        of_leaves, numbers = relative_to_origin(contents, origin)
+        self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(of_leaves)
-        self.window: list[list[Value]] = list(map(list, table_corners(domain.moved(-origin))))
-        self.periods, self.wide_periods = {}, {}
+        self.limits: list[list[Value]] = list(map(list, table_corners(domain.moved(-origin))))
+        self.periods, self.double_periods = {}, {}
         for axis in np.flatnonzero(domain.periodic).tolist():
             largest = self.precision(np.finfo(self.precision).max)
-            self.window[0][axis], self.window[1][axis] = -largest, largest
+            self.limits[0][axis], self.limits[1][axis] = -largest, largest
             column = self.frame[:, axis]
             lo, hi = column[Frame.LO] + column[Frame.LO_REST], column[Frame.HI] - column[Frame.HI_REST]
             self.periods[axis] = lo, hi, column[Frame.SCALE], np.float32(_TOLERANCE) * max(abs(lo), abs(hi))
             lo, hi = domain.lo[axis], domain.hi[axis]
-            self.wide_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
-        self.fold = None
+            self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
+        self.folding_arrays = None
         if (folding := contents.folding) is not None:
             (center, rest), ends = folding_numbers(folding, origin)
             axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
-            self.fold = center, rest, axes, mirrored_axes(folding), ends
+            self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
 
     def contains(self, do: Operations, x: Point) -> Value:
         """Whether a point has an answer; its precision is :attr:`precision`."""
         tests = []
-        for axis, (lo, hi) in enumerate(zip(*self.window, strict=True)):
-            along = x[axis] if self.domain.periodic[axis] else self._counted(do, x, axis)
+        for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
+            along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
             tests.append((along >= lo) & (along <= hi))
         return reduce(and_, tests)
 
-    def wrapped_wide(self, do: Operations, x: Point) -> Point:
+    def wrap_in_double(self, do: Operations, x: Point) -> Point:
         """A point of 64 bits, finite along periodic axes, with those wrapped."""
         x = list(x)
-        for axis, period in self.wide_periods.items():
-            x[axis] = wrapped(do, x[axis], *period)
+        for axis, period in self.double_periods.items():
+            x[axis] = wrap(do, x[axis], *period)
         return x
 
-    def counted(self, do: Operations, x: Point) -> Point:
+    def relative(self, do: Operations, x: Point) -> Point:
         """A point in 32 bits, in a far domain counted from its corner."""
-        return [self._counted(do, x, axis) for axis in range(self.dim)]
+        return [self._relative(do, x, axis) for axis in range(self.dim)]
 
-    def _counted(self, do: Operations, x: Point, axis: int) -> Value:
-        return x[axis] if self.corner is None else do.let("counted", do.rounded(x[axis] - self.corner[axis]))
+    def _relative(self, do: Operations, x: Point, axis: int) -> Value:
+        return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
-    def placed(self, do: Operations, x: Point) -> Point:
+    def fold_and_wrap(self, do: Operations, x: Point) -> Point:
         """A counted point of the domain, folded and wrapped."""
         x = list(x)
-        if self.fold is not None:
-            center, rest, axes, mirrors, ends = self.fold
+        if self.folding_arrays is not None:
+            center, rest, axes, mirrors, ends = self.folding_arrays
             x = [do.let("seen", along - c - r) for along, c, r in zip(x, center, rest, strict=True)]
             if axes is not None:
                 x = [do.let("turned", reduce(add, [a * b for a, b in zip(row, x, strict=True)])) for row in axes]
@@ -175,30 +175,30 @@ class Program:
                 for axis in reversed_axes:
                     x[axis] = do.let("mirrored", do.where(is_behind, -x[axis], x[axis]))
             for axis, (lo, hi) in enumerate(ends.T):
-                if np.isfinite(hi):  # along a periodic axis nothing is limited
-                    x[axis] = do.let("folded", limited(do, x[axis], lo, hi))
+                if np.isfinite(hi):  # along a periodic axis nothing is clamp
+                    x[axis] = do.let("folded", clamp(do, x[axis], lo, hi))
         for axis, period in self.periods.items():
-            x[axis] = wrapped(do, x[axis], *period)
+            x[axis] = wrap(do, x[axis], *period)
         return x
 
-    def above(self, do: Operations, x: Point) -> Point:
+    def offsets(self, do: Operations, x: Point) -> Point:
         """How far a placed point is from the domain's rounded lower corner."""
-        return [do.let("above", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
+        return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
-    def places(self, do: Operations, above: Point) -> list[Value]:
+    def fractions(self, do: Operations, offsets: Point) -> list[Value]:
         """Place along each axis."""
         columns = zip(*self.frame, strict=True)
-        return [place_along(do, along, column) for along, column in zip(above, columns, strict=True)]
+        return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
-    def value(self, do: Operations, above: Point, numbers: Sequence[Value]) -> Value:
+    def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
         """The value at a placed point of a leaf of given numbers.
 
         If it is of cells, how many there are along each axis, and which it is, come first.
         """
         if not self.leaf.is_cell_relative:
-            return self.leaf.value(numbers, above, do.root)
+            return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
-        for axis, along in enumerate(above):
+        for axis, along in enumerate(offsets):
             share, start = along * self.frame[Frame.SCALE][axis], self.frame[Frame.START][axis]
             if start < 1:
                 share = share + (start - np.float32(1))

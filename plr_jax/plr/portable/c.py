@@ -7,16 +7,16 @@ from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
 from plr_jax.plr.portable.writers import (
     Emitter,
     Expression,
-    ends_of,
-    filled_lines,
-    indented,
-    is_nan,
+    format_domain,
+    indent,
+    nan_condition,
     require_identifier,
+    wrap_entries,
     write_lookup,
 )
 
 
-class CWriter(Emitter):
+class CEmitter(Emitter):
     """Of C99."""
 
     root_of, cast = "sqrtf({})", "(float)({})"
@@ -55,7 +55,7 @@ def c_header(program: Program, name: str) -> str:
     """The header of a PLR: see :meth:`PLR.c_header`; ``ValueError`` if its name is no identifier of C."""
     require_identifier(name)
     dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
-    rows, row_of_leaf = distinct_rows(program.numbers)
+    rows, row_of_leaf = distinct_rows(program.leaf_parameters)
     tree = CodedTree(program.contents.tree, row_of_leaf)
     has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_cell_relative
 
@@ -69,7 +69,7 @@ def c_header(program: Program, name: str) -> str:
         f"#define {guard}",
         f"/* The distance to a goal, by plr_jax: {len(row_of_leaf)} leaves of kind {leaf.name!r}.",
         "",
-        f"   {name}_distance: distance from a point {ends_of(program.domain)};",
+        f"   {name}_distance: distance from a point {format_domain(program.domain)};",
         "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
         *([waypoint] * is_sourced),
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
@@ -92,24 +92,24 @@ def c_header(program: Program, name: str) -> str:
     ]
 
     # 2. The tree, and the numbers of the leaves.
-    tables, literal = [], CWriter(name).literal
+    tables, literal = [], CEmitter(name).literal
     if has_tree:
         tables += [
             "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
             f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {dim}. */",
             f"static const {tree.code_type}_t {name}_tree[{len(tree.children)}][2] = {{",
-            *filled_lines(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
+            *wrap_entries(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
             "};",
             "",
         ]
     tables += [
         f"static const float {name}_numbers[{len(rows)}][{rows.shape[1]}] = {{",
-        *filled_lines("{" + ", ".join(map(literal, row)) + "}" for row in rows),
+        *wrap_entries("{" + ", ".join(map(literal, row)) + "}" for row in rows),
         "};",
         "",
     ]
 
-    # 3. From places to the leaf's row.
+    # 3. From fractions to the leaf's row.
     mask = (1 << tree.kind_bits) - 1
     descent = [
         "/* Down the tree: each split takes the next bit of the place along its axis. */",
@@ -128,11 +128,11 @@ def c_header(program: Program, name: str) -> str:
         "",
     ]
 
-    def read_leaf(do: CWriter, places: list[Expression]) -> list[Expression]:
+    def read_leaf(do: CEmitter, fractions: list[Expression]) -> list[Expression]:
         """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
         row, counts = "0", ["1.0f", "0.0f"] * dim
         if has_tree:
-            do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, places))}}};")
+            do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, fractions))}}};")
             if of_cells:  # how many cells there are, and which it is
                 do.statements.append(f"uint32_t cell[{dim}][2] = {{{', '.join(['{1, 0}'] * dim)}}};")
             row = f"{name}_leaf(place{', cell' * of_cells})"
@@ -141,20 +141,20 @@ def c_header(program: Program, name: str) -> str:
         return [do.atom(text) for text in [*counts * of_cells, *(f"n[{i}]" for i in range(rows.shape[1]))]]
 
     # 4. The functions.
-    do = CWriter(name)
-    outside = [f"return {is_nan(dim)} ? NAN : INFINITY;"]
-    above, numbers = write_lookup(do, program, of_type, read_leaf, outside)
-    do.statements.append(f"return {program.value(do, above, numbers)};")
+    do = CEmitter(name)
+    outside = [f"return {nan_condition(dim)} ? NAN : INFINITY;"]
+    offsets, numbers = write_lookup(do, program, of_type, read_leaf, outside)
+    do.statements.append(f"return {program.value(do, offsets, numbers)};")
     functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
-    functions += ["{", *indented(do.used_statements()), "}", ""]
+    functions += ["{", *indent(do.used_statements()), "}", ""]
     floors = do.floors
     if is_sourced:
-        do = CWriter(name)
+        do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
         _, numbers = write_lookup(do, program, of_type, read_leaf, outside)
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
         functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
-        functions += ["{", *indented(do.used_statements()), "}", ""]
+        functions += ["{", *indent(do.used_statements()), "}", ""]
 
     # 5. The floor of each type that they need: NaN, and whole numbers beyond the bits of a mantissa, stay.
     helpers = []

@@ -15,16 +15,16 @@ from plr_jax.plr.portable.arithmetic import CodedTree, Program, Value, distinct_
 from plr_jax.plr.portable.writers import (
     Emitter,
     Expression,
-    ends_of,
-    filled_lines,
-    indented,
-    is_nan,
+    format_domain,
+    indent,
+    nan_condition,
+    wrap_entries,
     write_lookup,
 )
 from plr_jax.plr.tree import Cells, tree_of
 
 
-class JavaScriptWriter(Emitter):
+class JavaScriptEmitter(Emitter):
     """Of JavaScript, whose numbers have 64 bits: ``f`` rounds each operation to 32."""
 
     root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
@@ -46,7 +46,7 @@ class JavaScriptWriter(Emitter):
 _TABLE_BITS = 14  # of a table that fits a core's first-level cache, or nearly so
 
 
-class _OfTables(Program):
+class _ConesFromTables(Program):
     """A query of any cones in the plane: what it computes with has names, as ``readCones`` of ``file.js`` has it."""
 
     def __init__(self) -> None:
@@ -56,10 +56,10 @@ class _OfTables(Program):
         super().__init__(DecodedFile(domain, Cone(), halves, stored))
 
         def named(name: str, of_type: str = "float") -> list[Expression]:
-            return [JavaScriptWriter().atom(f"{name}{axis}", of_type) for axis in range(2)]
+            return [JavaScriptEmitter().atom(f"{name}{axis}", of_type) for axis in range(2)]
 
         self.frame = [named(row.name.lower()) for row in Frame]
-        self.window = [self.frame[Frame.LO], self.frame[Frame.HI]]
+        self.limits = [self.frame[Frame.LO], self.frame[Frame.HI]]
         self.corner = named("origin", "double")
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
@@ -69,13 +69,13 @@ class _OfTables(Program):
 
 def js_file_reader() -> str:
     """Functions of JavaScript that read files, with those that they need."""
-    return "\n".join([ROUNDED, BESIDE, Path(__file__).with_name("file.js").read_text(encoding="utf-8")])
+    return "\n".join([FROUND, NEXT_FLOAT, Path(__file__).with_name("file.js").read_text(encoding="utf-8")])
 
 
 def js_cone_reader() -> str:
     """A function of JavaScript that makes a reader of what ``readCones`` of ``file.js`` gives."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
-    program, rows = _OfTables(), np.zeros((2, 5), np.float32)
+    program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
     lines = [
         f"const {names};",
@@ -83,12 +83,12 @@ def js_cone_reader() -> str:
         *(line.removeprefix("export ") for line in _functions(program, tree, rows.shape[1], True)),
         "return { distance, waypoint, bounds };",
     ]
-    return "\n".join(function("function coneReader(tables)", lines))
+    return "\n".join(js_function("function coneReader(tables)", lines))
 
 
 def js_module(program: Program) -> str:
     """The module of a PLR: see :meth:`PLR.js_module`."""
-    dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.numbers
+    dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.leaf_parameters
     if certificate is not None:  # what is to be added to values for lower and upper bounds
         both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
         columns = np.column_stack([columns, both])
@@ -102,7 +102,7 @@ def js_module(program: Program) -> str:
     lines = [
         f"// The distance to a goal, by plr_jax: {len(row_of_leaf)} leaves of kind {leaf.name!r}.",
         "//",
-        f"// distance({names}): distance from a point {ends_of(program.domain)};",
+        f"// distance({names}): distance from a point {format_domain(program.domain)};",
         "// Infinity outside this closed domain, NaN where a coordinate is. It knows no obstacles.",
         *([waypoint] * isinstance(leaf, Cone)),
         *([bounds] * (certificate is not None)),
@@ -110,13 +110,13 @@ def js_module(program: Program) -> str:
         "",
     ]
     # 2. The tree, and the numbers of the leaves.
-    lines += [ROUNDED, *([BESIDE] * (certificate is not None))]
+    lines += [FROUND, *([NEXT_FLOAT] * (certificate is not None))]
     if len(tree.children):
         lines += [
             "// Both halves of every cell that is split, the lower first. Of one that is split again, its index",
             f"// here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {dim}.",
             f"const tree = new Uint{8 * tree.code_type.itemsize}Array([",
-            *filled_lines(map(str, tree.children.ravel().tolist())),
+            *wrap_entries(map(str, tree.children.ravel().tolist())),
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
@@ -124,7 +124,7 @@ def js_module(program: Program) -> str:
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",
-        *filled_lines(map(single, rows.ravel())),
+        *wrap_entries(map(float32_literal, rows.ravel())),
         "]);",
         "",
     ]
@@ -142,32 +142,32 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
-    def read_leaf(do: JavaScriptWriter, places: list[Expression]) -> list[Expression]:
+    def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
         """Write how the leaf is found, and return its numbers, first those of its cell, counted on the way."""
         row, counts = "0", ["1", "0"] * dim
         if has_tree:
-            do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(places)]
+            do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(fractions)]
             row = "leaf()" if width == 1 else f"{width} * leaf()"
             counts = [text for axis in range(dim) for text in (f"count[{axis}]", f"f(cell[{axis}])")]
         do.statements.append(f"const n = {row};")
         numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
-    def value(of_nan: str, others: str) -> tuple[JavaScriptWriter, Expression]:
+    def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression]:
         """A function as far as its value, given what it answers for NaN, and else outside."""
-        do = JavaScriptWriter()
-        outside = [f"return {is_nan(dim)} ? {of_nan} : {others};"]
+        do = JavaScriptEmitter()
+        outside = [f"return {nan_condition(dim)} ? {of_nan} : {others};"]
         return do, program.value(do, *write_lookup(do, program, "double", read_leaf, outside))
 
     do, answer = value("NaN", "Infinity")
     do.statements.append(f"return {answer};")
     lines = _descent(tree, program.leaf.is_cell_relative) if has_tree else []
-    lines += function("export function distance(x)", do.used_statements())
+    lines += js_function("export function distance(x)", do.used_statements())
     if isinstance(program.leaf, Cone):
-        do, nowhere = JavaScriptWriter(), [f"return [{', '.join(['NaN'] * dim)}];"]
+        do, nowhere = JavaScriptEmitter(), [f"return [{', '.join(['NaN'] * dim)}];"]
         _, numbers = write_lookup(do, program, "double", read_leaf, nowhere)
         do.statements.append(f"return [{', '.join(map(str, program.waypoint(numbers)))}];")
-        lines += function("export function waypoint(x)", do.used_statements())
+        lines += js_function("export function waypoint(x)", do.used_statements())
     if is_proven:
         do, answer = value("[NaN, NaN]", "[Infinity, Infinity]")
         below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
@@ -177,12 +177,12 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
             f"const lower = beside({below}, false);",
             f"return [lower > 0 ? lower : 0, beside({above}, true)];",
         ]
-        lines += function("export function bounds(x)", do.used_statements())
+        lines += js_function("export function bounds(x)", do.used_statements())
     return lines
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """From places to the leaf's row: down the tree, or, where its cells are not counted, mostly by a table."""
+    """From fractions to the leaf's row: down the tree, or, where its cells are not counted, mostly by a table."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),
@@ -197,14 +197,14 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     ]
     comment = "// Down the tree: each split takes the next bit of the place along its axis."
     if of_cells or not bits:
-        return [comment, *function("function leaf()", statements)]
+        return [comment, *js_function("function leaf()", statements)]
     index = " | ".join(
         f"place[{axis}] >>> {32 - bits}" + (f" << {above}" if (above := bits * (tree.dim - 1 - axis)) else "")
         for axis in range(tree.dim)
     )
     return [
         comment,
-        *function("function descend()", statements),
+        *js_function("function descend()", statements),
         f"// Of each cell of a grid, {1 << bits} an axis: one more than the row, or 0 for several leaves.",
         "// Behind the bits of its place one more is set, the last; none is left if that was taken.",
         f"const grid = new Uint32Array({1 << bits * tree.dim});",
@@ -217,12 +217,12 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
         "    grid[index] = place.every(left => left !== 0) ? row + 1 : 0;",
         "}",
         "",
-        *function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
+        *js_function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
     ]
 
 
-ROUNDED = "const f = Math.fround; // each operation is rounded to 32 bits"
-BESIDE = """\
+FROUND = "const f = Math.fround; // each operation is rounded to 32 bits"
+NEXT_FLOAT = """\
 // The next 32-bit float above a number of 32 bits, or below it.
 const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
 function beside(x, isAbove) {
@@ -234,7 +234,7 @@ function beside(x, isAbove) {
 }"""
 
 
-def single(number: np.float32) -> str:
+def float32_literal(number: np.float32) -> str:
     """The shortest decimal that JavaScript reads in 64 bits and rounds to this 32-bit float."""
     text = str(number)
     return _decimal(text if np.isinf(number) or np.float32(float(text)) == number else float(number))
@@ -246,6 +246,6 @@ def _decimal(number: Any) -> str:
     return text.replace("inf", "Infinity")
 
 
-def function(signature: str, statements: list[str]) -> list[str]:
+def js_function(signature: str, statements: list[str]) -> list[str]:
     """A function."""
-    return [f"{signature} {{", *indented(statements), "}", ""]
+    return [f"{signature} {{", *indent(statements), "}", ""]

@@ -17,13 +17,13 @@ from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
 from plr_jax.plr.leaves import as_sourced
-from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, limited
+from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
 
 
-class PythonWriter(Emitter):
+class PythonEmitter(Emitter):
     """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
 
     conjunction, conditional = "and", "({1} if {0} else {2})"
@@ -83,17 +83,17 @@ class LeafTable:
         self.bits, self.is_flat = tuple(bits.tolist()), bool((code & self.kind == tree.dim).all())
         self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
-    def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
+    def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
         """The row of numbers for each place."""
-        index = places[0] >> (FRACTION_BITS - self.bits[0])
-        for place, bits in zip(places[1:], self.bits[1:], strict=True):
+        index = fractions[0] >> (FRACTION_BITS - self.bits[0])
+        for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
         code = self.table[index]
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
             axis = self.tree.axis[node]
-            place = np.choose(axis, [along[moving] for along in places])
+            place = np.choose(axis, [along[moving] for along in fractions])
             bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
             code[moving] = self.children[2 * node + bit]
             moving = moving[code[moving] & self.kind != self.tree.dim]
@@ -128,14 +128,14 @@ def point_query(
 
     Outside it is ``inf``, or NaN where a coordinate is. ``numbers`` are those of the leaves, cells first.
     """
-    do, domain, tree = PythonWriter(), program.domain, table.tree
+    do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # whose entries are integers of Python
 
-    def descend(code: int, places: tuple[int, ...]) -> int:
+    def descend(code: int, fractions: tuple[int, ...]) -> int:
         """The row of numbers for one place, below the node of that code."""
         while (axis := code & table.kind) != tree.dim:
             node = code >> tree.kind_bits
-            code = children[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - depth[node])) & 1)]
+            code = children[2 * node + ((fractions[axis] >> (FRACTION_BITS - 1 - depth[node])) & 1)]
         return code >> tree.kind_bits
 
     # 1. Outside, beyond which numbers points are however they round, and inside.
@@ -146,7 +146,7 @@ def point_query(
     ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
     origin, beyond = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist(), []
-    for axis, (lo, hi) in enumerate(zip(*program.window, strict=True)):
+    for axis, (lo, hi) in enumerate(zip(*program.limits, strict=True)):
         if domain.periodic[axis]:
             beyond.append((-_LARGEST, _LARGEST))
             continue
@@ -160,20 +160,22 @@ def point_query(
     precision = np.dtype(program.precision).name
     of_type = "float" if precision == "float32" else "double"
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
-    x = program.placed(do, program.counted(do, x))
-    above = program.above(do, x)
-    places = [str(do.let("place", place)) for place in program.places(do, above)]
-    shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, table.bits, strict=True)]
+    x = program.fold_and_wrap(do, program.relative(do, x))
+    offsets = program.offsets(do, x)
+    fractions = [str(do.let("place", place)) for place in program.fractions(do, offsets)]
+    shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(fractions, table.bits, strict=True)]
     index = shifted[0]
     for along, bits in zip(shifted[1:], table.bits[1:], strict=True):
         index = f"({index}) << {bits} | {along}"
     row = (
-        f"codes[{index}] >> {tree.kind_bits}" if table.is_flat else f"descend(codes[{index}], ({', '.join(places)},))"
+        f"codes[{index}] >> {tree.kind_bits}"
+        if table.is_flat
+        else f"descend(codes[{index}], ({', '.join(fractions)},))"
     )
     # 3. The leaf's value.
     names = [f"n{i}" for i in range(numbers.shape[1])]
     do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
-    value = program.value(do, above, [do.atom(name) for name in names])
+    value = program.value(do, offsets, [do.atom(name) for name in names])
     lines = [
         f"if not ({' and '.join(inside)}):",
         f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # which compares all coordinates
@@ -235,7 +237,7 @@ class NumpyPLR:
         cells, self.dim, self.domain = program.contents.tree.leaves, program.dim, program.domain
         self.num_leaves = len(cells)
         self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
-        numbers = program.numbers
+        numbers = program.leaf_parameters
         if program.leaf.is_cell_relative:  # how many cells span the domain along each axis, and which it is
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
             numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
@@ -280,7 +282,7 @@ class NumpyPLR:
             outside = as_outside(outside)
         answer = self._at_point(x)
         if answer is None or (outside != "inf" and np.isinf(answer)):
-            return self._answered(x, self._values, (), outside)
+            return self._evaluate(x, self._values, (), outside)
         return answer
 
     def waypoint(self, x: ArrayLike) -> Any:
@@ -297,7 +299,7 @@ class NumpyPLR:
             ValueError: If leaves have no sources, as only those of cones do, or as for a query.
         """
         as_sourced(self._program.leaf)
-        return self._answered(x, self._waypoints, (self.dim,))
+        return self._evaluate(x, self._waypoints, (self.dim,))
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Proven bounds of the distance at each point from which the goal can be reached, as :meth:`PLR.bounds`.
@@ -314,7 +316,7 @@ class NumpyPLR:
         """
         if self._band is None:
             raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or use certify.")
-        answers = self._answered(x, self._bounds, (2,))
+        answers = self._evaluate(x, self._bounds, (2,))
         return answers[..., 0], answers[..., 1]
 
     @cached_property
@@ -336,7 +338,7 @@ class NumpyPLR:
         except (TypeError, ValueError):  # of coordinates that are no numbers
             return None
 
-    def _answered(
+    def _evaluate(
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
         """Answers of that shape to points, chunk by chunk."""
@@ -351,48 +353,50 @@ class NumpyPLR:
                     points = points.astype(np.float64)
                 given = list(np.ascontiguousarray(points.T))
                 if points.dtype == np.float64:
-                    given = program.wrapped_wide(ARRAYS, given)
+                    given = program.wrap_in_double(ARRAYS, given)
                 given = [along.astype(program.precision, copy=False) for along in given]
                 if (inside := program.contains(ARRAYS, given)).all():
-                    part[...] = self._at_counted(program.counted(ARRAYS, given), answer)
+                    part[...] = self._evaluate_inside(program.relative(ARRAYS, given), answer)
                     continue
                 lo = self.domain.lo.astype(program.precision)
                 moved = [np.where(inside, along, least) for along, least in zip(given, lo, strict=True)]
-                part[...] = self._at_counted(program.counted(ARRAYS, moved), answer)
+                part[...] = self._evaluate_inside(program.relative(ARRAYS, moved), answer)
                 is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
                 if outside == "clamp":
-                    others = self._at_nearest(program.counted(ARRAYS, [along[~inside] for along in given]), answer)
+                    others = self._evaluate_clamped(
+                        program.relative(ARRAYS, [along[~inside] for along in given]), answer
+                    )
                 elif outside == "nan" or answer == self._waypoints:
                     others = np.nan
                 part[~inside] = np.reshape(np.where(is_nan, np.nan, others), (-1, *[1] * len(shape)))
         return answers.reshape((*x.shape[:-1], *shape))[()]
 
-    def _at_counted(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
+    def _evaluate_inside(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers to points of the domain, by columns."""
-        above = self._program.above(ARRAYS, self._program.placed(ARRAYS, counted))
-        return answer(above, self._table.rows(self._program.places(ARRAYS, above)))
+        offsets = self._program.offsets(ARRAYS, self._program.fold_and_wrap(ARRAYS, relative))
+        return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
-    def _at_nearest(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
+    def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
-        is_finite = np.isfinite(counted).all(axis=0)
-        counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
-        ends = zip(counted, *self._program.window, self.domain.periodic, strict=True)
-        nearest = [along if is_periodic else limited(ARRAYS, along, lo, hi) for along, lo, hi, is_periodic in ends]
-        moved = [along - to for along, to in zip(counted, nearest, strict=True)]
+        is_finite = np.isfinite(relative).all(axis=0)
+        relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
+        ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
+        nearest = [along if is_periodic else clamp(ARRAYS, along, lo, hi) for along, lo, hi, is_periodic in ends]
+        moved = [along - to for along, to in zip(relative, nearest, strict=True)]
         scale = np.abs(moved).max(axis=0)
         scale = np.where(scale > 0, scale, np.float32(1))
         way = scale * np.sqrt(reduce(add, [np.square(along / scale) for along in moved]))
-        return np.where(is_finite, self._at_counted(nearest, answer) + way, np.float32(np.inf))
+        return np.where(is_finite, self._evaluate_inside(nearest, answer) + way, np.float32(np.inf))
 
-    def _values(self, above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return self._program.value(ARRAYS, above, [column[leaf] for column in self._columns])
+    def _values(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
 
-    def _bounds(self, above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+    def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are asked for where there is a proof"
-        value, band = self._values(above, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
+        value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
         upper = np.nextafter(value + band[1], np.float32(np.inf))
         finite = value < np.inf

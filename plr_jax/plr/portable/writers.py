@@ -31,7 +31,7 @@ class Expression:
     text: str
     level: int
     type: str
-    language: "Writer"
+    language: "Emitter"
 
     __array_ufunc__ = None  # NumPy's scalars leave operators to this class
 
@@ -42,48 +42,48 @@ class Expression:
         """The text, in parentheses if it binds less tightly."""
         return self.text if self.level >= level else f"({self.text})"
 
-    def _joined(self, symbol: str, left: "Text", right: "Text", level: int) -> "Text":
+    def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
         of_type = "double" if "double" in (left.type, right.type) else "float"
         # Sums and products are from left to right.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
         value = Expression(text, level, of_type, self.language)
         return value if self.language.is_rounded or of_type == "double" else self.language.rounded(value)
 
-    def __add__(self, other: Any) -> "Text":
+    def __add__(self, other: Any) -> "Expression":
         return self._joined("+", self, self.language.constant(other), _SUM)
 
-    def __radd__(self, other: Any) -> "Text":
+    def __radd__(self, other: Any) -> "Expression":
         return self._joined("+", self.language.constant(other), self, _SUM)
 
-    def __sub__(self, other: Any) -> "Text":
+    def __sub__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other == 0:
             return self
         if not isinstance(other, Expression) and other < 0:
             return self + -other
         return self._joined("-", self, self.language.constant(other), _SUM)
 
-    def __rsub__(self, other: Any) -> "Text":
+    def __rsub__(self, other: Any) -> "Expression":
         return self._joined("-", self.language.constant(other), self, _SUM)
 
-    def __mul__(self, other: Any) -> "Text":
+    def __mul__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other == 1:
             return self
         return self._joined("*", self, self.language.constant(other), _PRODUCT)
 
-    def __rmul__(self, other: Any) -> "Text":
+    def __rmul__(self, other: Any) -> "Expression":
         return self._joined("*", self.language.constant(other), self, _PRODUCT)
 
-    def __neg__(self) -> "Text":
+    def __neg__(self) -> "Expression":
         return Expression(f"-{self.at_least(_ATOM)}", _PRODUCT, self.type, self.language)
 
-    def _compared(self, symbol: str, other: Any) -> "Text":
+    def _compared(self, symbol: str, other: Any) -> "Expression":
         left, right = self.at_least(_SUM), self.language.constant(other).at_least(_SUM)
         return Expression(f"{left} {symbol} {right}", _COMPARISON, "int", self.language)
 
     __lt__, __gt__ = partialmethod(_compared, "<"), partialmethod(_compared, ">")
     __le__, __ge__ = partialmethod(_compared, "<="), partialmethod(_compared, ">=")
 
-    def __and__(self, other: "Text") -> "Text":
+    def __and__(self, other: "Expression") -> "Expression":
         text = f"{self.at_least(_CONDITION)} {self.language.conjunction} {other.at_least(_CONDITION)}"
         return Expression(text, _CONDITION, "int", self.language)
 
@@ -179,7 +179,7 @@ def write_lookup(
         do: What writes it.
         program: What it computes.
         of_type: Of the coordinates that are given, ``float`` or ``double``.
-        read_leaf: Writes by ``do`` how the leaf at places along each axis is found, and returns its numbers.
+        read_leaf: Writes by ``do`` how the leaf at fractions along each axis is found, and returns its numbers.
         outside: Statements for points outside the domain.
 
     Returns:
@@ -187,14 +187,14 @@ def write_lookup(
     """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
-        x = program.wrapped_wide(do, x)
+        x = program.wrap_in_double(do, x)
         x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
-    do.statements += [f"if (!({program.contains(do, x)})) {{", *indented(outside), "}"]
-    above = program.above(do, program.placed(do, program.counted(do, x)))
-    return above, read_leaf(do, program.places(do, above))
+    do.statements += [f"if (!({program.contains(do, x)})) {{", *indent(outside), "}"]
+    offsets = program.offsets(do, program.fold_and_wrap(do, program.relative(do, x)))
+    return offsets, read_leaf(do, program.fractions(do, offsets))
 
 
-def is_nan(dim: int) -> str:
+def nan_condition(dim: int) -> str:
     """The condition of C and JavaScript that a coordinate of ``x`` is NaN."""
     return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
 
@@ -205,7 +205,7 @@ def require_identifier(name: object) -> None:
         raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
 
 
-def ends_of(domain: Box) -> str:
+def format_domain(domain: Box) -> str:
     """A domain as readers of code know it."""
     return " x ".join(
         f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
@@ -216,12 +216,12 @@ def ends_of(domain: Box) -> str:
 _WIDTH = 100  # of a line
 
 
-def indented(lines: Iterable[str]) -> list[str]:
+def indent(lines: Iterable[str]) -> list[str]:
     """Lines farther right."""
     return [f"    {line}" for line in lines]
 
 
-def filled_lines(entries: Iterable[str]) -> list[str]:
+def wrap_entries(entries: Iterable[str]) -> list[str]:
     """Entries, separated by commas, in lines that are full."""
     lines, line = [], ""
     for entry in entries:

@@ -181,25 +181,25 @@ def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """Read what :func:`write_cones` appended; ``ValueError`` describes damaged data."""
     exponent, fraction, parts = 0, 1, []
-    num_fine = int(body.read_alike(1, _COUNT_BITS)[0])
+    num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:
-        exponent = int(body.read_alike(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
+        exponent = int(body.read_fixed_width(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
         if abs(exponent) > _LARGEST_EXPONENT:
             raise ValueError(f"it states coordinates in steps of 2**{exponent}")
         parts.append(_read_codes(body, num_fine, _origin_in_steps(domain.lo * 2.0**-exponent)))
-    num_others = int(body.read_alike(1, _COUNT_BITS)[0])
+    num_others = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_others:
-        fraction = int(body.read_alike(1, _STEP_BITS)[0])
+        fraction = int(body.read_fixed_width(1, _STEP_BITS)[0])
         if not fraction:
             raise ValueError("it states coordinates in steps of 1 / 0")
         parts.append(_read_codes(body, num_others, _origin_in_steps(domain.lo * fraction)))
     if not parts:
         raise ValueError("it states no sources")
     code, count = np.concatenate(parts), num_fine + num_others
-    is_root = body.read_alike(count, 1) == 1
+    is_root = body.read_fixed_width(count, 1) == 1
     parent, offset = np.arange(count), np.zeros(count)
     offset[is_root] = body.read_floats(int(np.count_nonzero(is_root)))
-    parent[~is_root] = body.read_alike(int(np.count_nonzero(~is_root)), (count - 1).bit_length())
+    parent[~is_root] = body.read_fixed_width(int(np.count_nonzero(~is_root)), (count - 1).bit_length())
     if parent.max() >= count:
         raise ValueError(f"it names source {parent.max()} of {count}")
     sources = StoredSources(num_fine, exponent, fraction, code, parent, offset)
@@ -212,10 +212,10 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> 
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
-        width = int(body.read_alike(1, _WIDTH_BITS)[0])
+        width = int(body.read_fixed_width(1, _WIDTH_BITS)[0])
         if width > _MOST_COORDINATE_BITS:
             raise ValueError(f"it states coordinates of {width} bits")
-        columns.append(body.read_alike(count, width))
+        columns.append(body.read_fixed_width(count, width))
     return np.column_stack(columns) + lowest + origin
 
 
@@ -228,7 +228,7 @@ def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
     rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for each in range(_ESCAPE):
-        rest = rest[body.read_alike(len(rest), 1) == 0]
+        rest = rest[body.read_fixed_width(len(rest), 1) == 0]
         rank[rest] = each + 1
     rank[rest] += body.read_coded(len(rest))
     if (rank >= count).any():
