@@ -21,7 +21,6 @@ _SPEED_CONTENDERS = {
     "map_coordinates": "grid, JAX `map_coordinates`",
     "SciPy RegularGridInterpolator": "grid, SciPy",
     "LightGBM linear tree": "LightGBM linear tree",
-    "network": "network",
 }
 _IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
@@ -58,21 +57,21 @@ def leaves(results: dict[str, Any]) -> str:
     """Bytes, errors and proofs of each leaf model at one budget, map by map."""
     table = formatted(
         results["rows"],
-        *(("map", "{map}"), ("leaf", "{leaf}"), ("file", "{bytes:,}"), ("memory", "{resident_bytes:,}")),
-        *(("in C", "{c_bytes:,}"), ("mean error", "{mean:.2g}"), ("largest", "{largest:.2g}")),
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("file, bytes", "{bytes:,}"), ("memory", "{resident_bytes:,}")),
+        *(("in C", "{c_bytes:,}"), ("mean error", "{mean:.2g}"), ("largest found", "{largest:.2g}")),
         ("proven", "{proven:.2g}"),
         words=2,
     )
     farthest = {row["map"]: row["largest_distance"] for row in results["rows"]}
     scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
     return table + (
-        f"\n`max_bytes={results['budget']}`. Sizes in bytes; in C, of compiled code and tables. Errors in workspace "
-        f"units, over {results['points']:,} free points; largest distance: {scale}.\n"
+        f"\n`max_bytes={results['budget']}`; in C: compiled code and tables. Errors in workspace units, over "
+        f"{results['points']:,} free points; largest distance: {scale}.\n"
     )
 
 
 def speed(results: dict[str, Any]) -> str:
-    """Bytes, error and nanoseconds a point of a PLR and of four others in its place."""
+    """Bytes, error and nanoseconds a point of a PLR and of three others in its place."""
     plane = results["plane"]
     few, many = (str(n) for n in plane["points"][-2:])
     rows = [["", "bytes", "mean error", f"ns a point, {int(few):,} a call", f"{int(many):,} a call"]]

@@ -1,90 +1,54 @@
-"""Distance functions over configuration spaces, compressed into kilobytes of planes.
-
-A `DistanceFn` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
-be reached; a `HeuristicFn` answers costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``.
-
-# Discover: how far is it?
+"""Distance functions over maps and configuration spaces, compressed into kilobytes and queried in batches under JAX.
 
 ```python
 import plr_jax
 
 workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4, 4), (3, 4)]])
-oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
+oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))  # computes exact distances to the goal
+plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)  # compresses them
+
+x = workspace.sample_free(1000, seed=0)  # points (n, 2), one a row
+distance = plr(x)  # (n,); also under jit, vmap and grad
+lower, upper = plr.bounds(x)  # proven
+print(plr_jax.metrics.error_map(plr, oracle, x))
+plr_jax.save(plr, "field.plr")
 ```
 
-- Where: `Workspace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
-  `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
-- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `VoxelGraph`,
-  `NearestGoal`; `robot_distance_fns`, one for each robot.
-- Inside `jit`, on maps that are arrays and change: `grid_distance`, to a goal a `GridDistance`, else `GridDistances`.
-- Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, of any
-  robot by its clearance a `ClearanceSpace`, or your own, a `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which
-  tells a `CellState`; what a motion costs there is a `MotionCost`: `CostMap`, `RasterCost`,
-  `LipschitzCost`, or your own `DirectionalCost`.
+# Guides
 
-**Which axis of an array is which.** Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals,
-and the agents of `GridPairs.window`.
+Each guide is about one task and has examples that run. Together they show all public names.
 
-- Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest: `Workspace.from_mask`, `GridGraph`,
-  `construct_grid_pairs`, `grid_distance`, and what `GridPairs.window` returns.
-- Rasters of numbers are `values[row, column]` likewise, in space `values[z, y, x]`, the last axis along `x`:
+- `plr_jax.guides.distance_function`: maps, oracles, leaves, files. `construct`, `certify`, `save`, `load`.
+- `plr_jax.guides.any_two_points`: `construct_pairs`, `construct_grid_pairs`, `construct_many`, `stack`.
+- `plr_jax.guides.inside_jit`: `grid_distance`, on maps that are drawn inside `jit`.
+- `plr_jax.guides.changing_map`: `Workspace.with_obstacles`, `VisibilityGraph.with_workspace`, `PLR.updated`.
+- `plr_jax.guides.costs_and_volumes`: `solve_eikonal`; cost maps, voxels, bodies, arms.
+- `plr_jax.guides.teams`: `bl_plan`, `validate`, `replan`, `lifelong`.
+- `plr_jax.guides.follow_the_field`: `descend`, `trace`, gradients.
+- `plr_jax.guides.c_and_javascript`: `PLR.c_header`, `PLR.js_module`, `load_numpy`.
+- `plr_jax.guides.command_line`: the command `plr-jax`.
+
+`plr_jax.guides` itself lists how every class is called. `metrics` measures errors, `plot` draws, `scenes` has
+ready-made maps and readers of files. `plr` and `pairs` hold the rest about PLRs and pairs.
+
+# Which axis is which
+
+Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals, agents.
+
+- Pixels and cells are `free[row, column]`, and row 0 has the lowest `y`: `Workspace.from_mask`, `GridGraph`,
+  `construct_grid_pairs`, `grid_distance`, and the windows that `GridPairs.window` returns.
+- Rasters of numbers are `values[row, column]`, or `values[z, y, x]` in space, with the last axis along `x`:
   `GridField`, `RasterCost`.
-- Voxels are `free[x, y, z]`, the first axis along `x`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`.
+- Voxels are `free[x, y, z]`, with the first axis along `x`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`.
 
-The first row of a picture is its top: use `Workspace.from_mask(free, row0="top")`, and `values[::-1]`. The transpose
-`.T` turns a raster into voxels and back.
+Row 0 of a picture is its top: use `Workspace.from_mask(free, row0="top")`, and `values[::-1]` for rasters. The
+transpose `.T` turns a raster into voxels and back.
 
-# Store: the answer in kilobytes
-
-```python
-field = plr_jax.construct(oracle, workspace.bounds, max_bytes=1024, certified=True)
-plr_jax.save(field, "field.plr")
-field = plr_jax.load("field.plr")
-```
-
-- A `PLR` of one goal: `construct`, with many goals `construct_many`; of a changed map: `plr.updated`; proofs:
-  `certify`.
-- Pairs, of any two points: `construct_pairs` makes a `PairPLR`, quickest to goals that it has `prepared`;
-  `construct_grid_pairs` `GridPairs`, `construct_metric_pairs` `MetricPairs`; more in
-  `pairs`.
-- Files: `save` and `load`, `from_bytes`; without JAX `load_numpy`, a `NumpyPLR`.
-- How `construct` works, `BuildOptions`: a `CellFit`, `least_squares`; `largest_error`,
-  `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, `construct` warns:
-  `ConstructionInterrupted`. Formats and arithmetic are in `plr`.
-
-# Use: in a batch, under a gradient, in a planner
-
-```python
-import jax
-import numpy as np
-
-x = workspace.sample_free(1000, seed=0)
-distance, slope = field(x), jax.vmap(jax.grad(field))(x)
-lower, upper = field.bounds(x)
-```
-
-- A PLR is called, which is `evaluate`; several at once: `stack` makes a `PLRStack`. `trace` reads paths from cones,
-  `Traces` with a `TraceStatus`.
-- `descend` follows a field to its goal (`Descent`, `DescentStatus`).
-- `bl_plan` plans for a team, with `BLOptions`, led by `zero`, `straight_line` or `sum_of_distances`; it returns a
-  `Solution`, with `Status` and `Stats`; a team that is under way: `replan`; goals that keep coming: `lifelong`, a
-  `LifelongRun`. `ompl_objective` leads planners of OMPL.
-
-# Look: is it right?
-
-```python
-print(plr_jax.metrics.error_map(field, oracle, x))
-plr_jax.plot.plot_contours(field, workspace=workspace, goal=(9, 1))
-```
-
-- `metrics` measures errors, `plot` draws; `validate` checks a path by geometry of its own, a
-  `ValidationReport`; `path_cost` and `makespan` say what it costs and takes.
-
-The names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and
-queries a PLR imports neither Shapely nor NetworkX nor Matplotlib, nor the slow parts of SciPy.
+Names are loaded when they are first used. So a program that only loads and queries a PLR imports neither Shapely nor
+NetworkX nor Matplotlib, nor the slow parts of SciPy.
 """
 
 import lazy_loader
 
 __version__ = "0.1.0"
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the list is in __init__.pyi
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names are listed in __init__.pyi

@@ -75,5 +75,14 @@ def test_guides_link_to_the_api_and_classes_show_their_call(folder):
         page = (folder / "site" / "plr_jax" / "guides" / f"{name}.html").read_text()
         assert 'href="../../plr_jax.html#' in page or name == "command_line"
     page = (folder / "site" / "plr_jax.html").read_text()
-    for name in ("PLR", "PairPLR", "GridPairs", "VisibilityGraph", "GridDistance", "NumpyPLR", "PLRStack", "HeuristicFn"):
+    for name in (
+        "PLR",
+        "PairPLR",
+        "GridPairs",
+        "VisibilityGraph",
+        "GridDistance",
+        "NumpyPLR",
+        "PLRStack",
+        "HeuristicFn",
+    ):
         assert f'id="{name}.__call__"' in page, name

@@ -30,7 +30,8 @@ take batches `(n, dim)` and run on the host, in NumPy. All others also work unde
 | `plr_jax.Dubins`, `plr_jax.ReedsShepp` | `oracle(poses)` | length of a car's path; poses are `(n, 3)` |
 | `plr_jax.GridField`, `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | `oracle(x)` | distance to the goal |
 | `plr_jax.NearestGoal` | `oracle(x)` | distance to the nearest goal |
-| `plr_jax.CostMap`, `plr_jax.RasterCost`, `plr_jax.LipschitzCost`, `plr_jax.DirectionalCost` | `cost_map(q)` | factor |
+| `plr_jax.CostMap`, `plr_jax.DirectionalCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
+| `plr_jax.RasterCost`, `plr_jax.LipschitzCost` | `cost_map(q)` | the same |
 | `plr_jax.HeuristicFn` | `heuristic(q)` | cost-to-go of joint configurations `(n, robots, dof)` |
 """
 

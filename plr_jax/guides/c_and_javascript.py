@@ -1,4 +1,4 @@
-"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
+r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
 
 All of them use the arithmetic that is part of the file format. So their answers are equal, bit for bit, to those of
 `plr.numpy()`, and to those of `plr(x)` on a CPU.
@@ -46,7 +46,7 @@ int main(void)
     const float x[2] = {0.93f, 0.95f};
     float next[2];
     maze_waypoint(x, next);
-    printf("%f, by way of (%f, %f)\\n", maze_distance(x), next[0], next[1]);
+    printf("%f, by way of (%f, %f)\n", maze_distance(x), next[0], next[1]);
     return 0;
 }
 ```

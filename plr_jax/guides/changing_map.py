@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
-Three calls follow a change: one for the map, one for the oracle, one for the PLR. Each reuses what the change does not
-touch, and returns a new object; the old ones stay valid for the old map.
+Three calls follow a change: one for the map, one for the oracle, one for the PLR. Each reuses what the change does
+not touch, and returns a new object; the old ones stay valid for the old map.
 
 ```python
 import plr_jax

@@ -21,8 +21,8 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
   and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
   JSON. A file needs `--goal X,Y`. The output has proven bounds. `--leaf best`, the default, compares leaves.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
-- `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` reads standard input. A point outside the domain
-  gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient. For pairs, lines are `x,y,x,y`.
+- `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` reads standard input. A point outside the
+  domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient. For pairs, lines are `x,y,x,y`.
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found.
@@ -30,9 +30,9 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 # From a picture to C
 
-A scanned plan has a scale and noise. `--resolution` is the side of a pixel in workspace units. `--drop-specks` removes
-obstacles of at most so many pixels. `--threshold` is the lightness above which a pixel is free. `--radius` is the
-radius of a round robot, for whose center the distance then is.
+A scanned plan has a scale and noise. `--resolution` is the side of a pixel in workspace units. `--drop-specks`
+removes obstacles of at most so many pixels. `--threshold` is the lightness above which a pixel is free. `--radius` is
+the radius of a round robot, for whose center the distance then is.
 
 ```python
 import numpy as np
@@ -48,6 +48,6 @@ plr-jax build scan.png --goal 0.5,0.5 --resolution 0.05 --radius 0.1 --max-bytes
 plr-jax export scan.plr --c --output scan.h
 ```
 
-In Python, `plr_jax.scenes.read_workspace("scan.png", resolution=0.05)` reads the same map. The origin is the lower left
-corner of the picture.
+In Python, `plr_jax.scenes.read_workspace("scan.png", resolution=0.05)` reads the same map. The origin is the lower
+left corner of the picture.
 """

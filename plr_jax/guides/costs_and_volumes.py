@@ -16,16 +16,16 @@ print(cost([[3, 2]]), plr([[5.5, 2]]))  # the cost per unit of length there; the
 ```
 
 - `certified=False` gives an estimate, in about a second; in up to three dimensions.
-- `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where no
-  path through proven free cells was found. Limits: `max_leaves`, `max_bytes`, `tolerance`.
+- `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
+  no path through proven free cells was found. Limits: `max_leaves`, `max_bytes`, `tolerance`.
 
 # Costs
 
 A `plr_jax.CostMap` is a positive factor. A motion through `q` costs `cost_map(q)` times its length. For travel times,
 give the reciprocal of the speed.
 
-- `plr_jax.RasterCost`: a raster of factors. `from_costmap` and `from_occupancy_grid` read costs of ROS, `inflated` adds
-  costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files of `map_server` and TIFF.
+- `plr_jax.RasterCost`: a raster of factors. `from_costmap` and `from_occupancy_grid` read costs of ROS, `inflated`
+  adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files of `map_server` and TIFF.
 - `plr_jax.LipschitzCost`: a function, with a bound of how fast it changes. The proof relies on that bound.
 - `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current.
 - `plr_jax.MotionCost`: the length itself, for example with a weight for turns. Every space has one.
@@ -108,6 +108,6 @@ print(walk((9, 0)), walk((9, 3)))
 ```
 
 Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
-`are_free(q0, q1)` tests motions. Only a proven answer may be FREE or BLOCKED; MIXED is always right. With `sees_boxes`,
-a space is a `plr_jax.SeesBoxes`, whose upper bounds are finite beside walls as well.
+`are_free(q0, q1)` tests motions. Only a proven answer may be FREE or BLOCKED; MIXED is always right. With
+`sees_boxes`, a space is a `plr_jax.SeesBoxes`, whose upper bounds are finite beside walls as well.
 """

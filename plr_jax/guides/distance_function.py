@@ -75,8 +75,9 @@ Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` wa
 
 # Files and queries
 
-`plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and `grad`.
-A PLR does not store walls, so a point in a wall also gets a number. `outside="clamp"` extends a PLR beyond its domain.
+`plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
+`grad`. A PLR does not store walls, so a point in a wall also gets a number. `outside="clamp"` extends a PLR beyond
+its domain.
 
 ```python
 import jax

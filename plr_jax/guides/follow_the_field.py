@@ -10,8 +10,8 @@
 
 # Descend
 
-`plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, a start reaches the
-goal whenever a path exists, however poor the field is. The field only decides which way to go.
+`plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, a start reaches
+the goal whenever a path exists, however poor the field is. The field only decides which way to go.
 
 ```python
 import jax
@@ -44,9 +44,9 @@ print(descent.costs, costs(starts[:2]))
 
 # Trace
 
-A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths from
-the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace to have
-every leg tested.
+A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
+from the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace
+to have every leg tested.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)

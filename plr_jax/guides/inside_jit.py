@@ -7,7 +7,8 @@ Choose by what is known before `jit` compiles:
   `pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
 - The map is drawn inside: call `plr_jax.grid_distance` inside.
 
-A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as arguments.
+A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
+arguments.
 
 # A fixed map
 

@@ -37,11 +37,11 @@ how close robots come to obstacles and to one another, and what is wrong first.
 
 # Heuristics, bounds and better paths
 
-Without a heuristic, the planner uses the cost along each robot's lattice, the best choice if you only need a plan.
-A `plr_jax.HeuristicFn` replaces it: `plr_jax.zero`, `plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one
-distance function for each robot. A heuristic that is a lower bound also raises `solution.lower_bound`, which otherwise
-is the length of straight lines. With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until it
-costs at most 1.05 times the lower bound, or until `time_limit` seconds have passed.
+Without a heuristic, the planner uses the cost along each robot's lattice, the best choice if you only need a plan. A
+`plr_jax.HeuristicFn` replaces it: `plr_jax.zero`, `plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one
+distance function for each robot. A heuristic that is a lower bound also raises `solution.lower_bound`, which
+otherwise is the length of straight lines. With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the
+path until it costs at most 1.05 times the lower bound, or until `time_limit` seconds have passed.
 
 ```python
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
@@ -63,8 +63,8 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 
 # Under way
 
-`plr_jax.replan` keeps the motions of a solution as far as they still lead to the goals. It plans again only for robots
-whose goal has changed, or that a new wall or a broken robot stops.
+`plr_jax.replan` keeps the motions of a solution as far as they still lead to the goals. It plans again only for
+robots whose goal has changed, or that a new wall or a broken robot stops.
 
 ```python
 now = plr_jax.Problem(workspace, robots, starts=solution.path_at(1.5), goals=[(8, 8), (2, 2)])
