@@ -16,6 +16,12 @@ _SHORT_CONTENDERS = {
     "bilinear grid, 16-bit": "bilinear grid, 16-bit",
     "network, 16-bit": "network, 16-bit",
 }
+_SPEED_CONTENDERS = {
+    "PLR": "PLR, planes",
+    "map_coordinates": "grid, JAX `map_coordinates`",
+    "SciPy RegularGridInterpolator": "grid, SciPy",
+    "LightGBM linear tree": "LightGBM linear tree",
+}
 _IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
 _RIVALS = {
@@ -36,7 +42,7 @@ def rivals(results: dict[str, Any]) -> str:
     maps = results["maps"]
     budgets = {row["budget"] for rows in maps.values() for row in rows}
     budget = _SHORT_BYTES if _SHORT_BYTES in budgets else max(budgets)
-    table = [[f"error at {budget:,} bytes", *maps]]
+    table = [[f"mean (largest) error, {budget:,} bytes", *maps]]
     for contender, label in _SHORT_CONTENDERS.items():
         errors = [
             next((row["free"] for row in rows if (row["contender"], row["budget"]) == (contender, budget)), None)
@@ -45,6 +51,36 @@ def rivals(results: dict[str, Any]) -> str:
         if any(errors):  # of what was not measured there is no row
             table.append([label, *map(mean_and_largest, errors)])
     return markdown(table, numbers=len(maps))
+
+
+def leaves(results: dict[str, Any]) -> str:
+    """Bytes, errors and proofs of each leaf model at one budget, map by map."""
+    table = formatted(
+        results["rows"],
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("file, bytes", "{bytes:,}"), ("memory", "{resident_bytes:,}")),
+        *(("in C", "{c_bytes:,}"), ("mean error", "{mean:.2g}"), ("largest found", "{largest:.2g}")),
+        ("proven", "{proven:.2g}"),
+        words=2,
+    )
+    farthest = {row["map"]: row["largest_distance"] for row in results["rows"]}
+    scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
+    return table + (
+        f"\n`max_bytes={results['budget']}`; in C: compiled code and tables. Errors in workspace units, over "
+        f"{results['points']:,} free points; largest distance: {scale}.\n"
+    )
+
+
+def speed(results: dict[str, Any]) -> str:
+    """Bytes, error and nanoseconds a point of a PLR and of three others in its place."""
+    plane = results["plane"]
+    few, many = (str(n) for n in plane["points"][-2:])
+    rows = [["", "bytes", "mean error", f"ns a point, {int(few):,} a call", f"{int(many):,} a call"]]
+    for contender, label in _SPEED_CONTENDERS.items():
+        if contender in plane["rows"]:
+            size, seconds = plane["rows"][contender], plane["nanoseconds"][contender]
+            cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"]
+            rows.append([label, *cells, *(f"{seconds[n][0]:.3g}" for n in (few, many))])
+    return markdown(rows, numbers=4)
 
 
 def query(results: dict[str, Any]) -> str:

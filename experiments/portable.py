@@ -1,4 +1,4 @@
-"""What runs at the other end: readers in C and NumPy, tables at the command line, a heuristic of cars.
+"""Readers of files in C and NumPy, tables at the command line, a heuristic of cars, and what each leaf takes.
 
 A C compiler called ``cc`` and ``size`` are needed.
 """
@@ -19,6 +19,7 @@ from experiments._c_headers import CompiledHeader, compiled_header, median_secon
 from experiments._measures import timed
 from experiments._runner import Section, run
 from plr_jax import PLR, Box, Euclidean, ReedsShepp, VisibilityGraph, construct, save, scenes
+from plr_jax.metrics import error_map
 
 # Readers of the format, each leaf model: are answers equal to the bit, how large is the code, how fast is it?
 #
@@ -212,7 +213,30 @@ def _errors(answer: np.ndarray, exact: np.ndarray) -> dict[str, float]:
     return {"mean": float(error.mean()), "largest": float(error.max())}
 
 
-SECTIONS = {"readers": Section(readers), "query": Section(queries), "car": Section(car)}
+# Which leaf: bytes of the file, of the tables that ``plr(x)`` reads and of the compiled C header, errors and proofs.
+
+LEAVES, LEAF_BYTES, NUM_FREE = ("cone", "continuous", "smooth", "plane"), 2_048, 200_000
+
+
+def leaves(seed: int, smoke: bool) -> dict[str, Any]:
+    num_points, rows = 2_000 if smoke else NUM_FREE, []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("maze",) if smoke else ("maze", "floor_plan"):
+            problem = getattr(scenes, name)()
+            oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+            x = problem.workspace.sample_free(num_points, seed)
+            for leaf in LEAVES:
+                plr = construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=LEAF_BYTES, certified=True)
+                sizes, error = section_bytes(object_for_size(plr, Path(folder) / name)), error_map(plr, oracle, x)
+                row = {"map": name, "leaf": leaf, "leaves": plr.num_leaves, "bytes": plr.num_bytes}
+                row |= {"resident_bytes": plr.resident_bytes, "c_bytes": sizes["code"] + sizes["data"]}
+                row |= {"mean": error.mean, "largest": error.max, "proven": plr.max_error}
+                rows.append(row | {"largest_distance": error.max_distance})
+                print(rows[-1], flush=True)
+    return {"points": num_points, "budget": LEAF_BYTES, "rows": rows}
+
+
+SECTIONS = {"readers": Section(readers), "query": Section(queries), "car": Section(car), "leaves": Section(leaves)}
 
 if __name__ == "__main__":
     run("portable", __doc__, SECTIONS)

@@ -1,5 +1,6 @@
 __version__: str
 
+from . import guides as guides
 from . import metrics as metrics
 from . import pairs as pairs
 from . import plot as plot

@@ -19,7 +19,7 @@ LAYERS = [
     ["_io"],
     ["_lookahead"],
     ["_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
-    ["cli"],
+    ["cli", "guides"],
     ["__main__"],
 ]
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.

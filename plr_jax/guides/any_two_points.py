@@ -1,0 +1,90 @@
+"""Guide: find the distance between any two points, or from many points to many goals.
+
+| what changes | use | answer |
+| --- | --- | --- |
+| both points, among polygons | `plr_jax.construct_pairs` | exact but for the rounding of 32-bit floats |
+| both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
+| both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
+| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as one PLR a goal |
+| the nearest of several goals | `plr_jax.NearestGoal` | as its oracles |
+
+# Among polygons
+
+A `plr_jax.PairPLR` stores the map and, for every cell of a partition, the corners at which shortest paths may turn.
+It is a pytree, and works under `jit`, `vmap` and `grad` in both points.
+
+```python
+import plr_jax
+
+workspace = plr_jax.scenes.maze().workspace
+pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
+x, y = workspace.sample_free(1000, seed=0), workspace.sample_free(1000, seed=1)
+distance = pairs(x, y)  # (n,); the batches are broadcast
+lower, upper = pairs.bounds(x[:3], y[:3])  # proven
+
+goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
+distance = pairs(x, goals)  # takes about half the time on small maps, a fifth on large ones
+
+plr = pairs.to(y[0])  # the distance to one goal, an ordinary PLR of cones
+print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
+```
+
+`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget makes queries faster, not more exact. The workspace
+may have at most 8,192 corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end: see
+`plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
+
+# On a grid
+
+`plr_jax.GridPairs` answers for all pairs of cells. The file stores only the map.
+
+```python
+import numpy as np
+
+free = np.ones((32, 32), bool)  # free[row, column]; row 0 is the lowest y
+free[16, :24] = False
+steps = plr_jax.construct_grid_pairs(free)  # or a GridGraph(free, connectivity=8)
+print(steps((3.5, 3.5), (3.5, 28.5)), steps.bounds((3.5, 3.5), (3.5, 28.5)))
+
+goals, positions = np.array([[3.5, 3.5], [28.5, 3.5]]), np.array([[3.5, 28.5], [9.5, 9.5]])
+print(steps.window(goals, positions, radius=5).shape)  # (agents, 11, 11): steps to each agent's goal
+to_dock = steps.to((3.5, 3.5))  # a plr_jax.pairs.DistanceToCell: one goal, several times as fast
+graph = plr_jax.GridGraph(free, goal=(3.5, 3.5))  # the same distances, found by search on the host
+assert (to_dock(positions) == graph(positions)).all()
+```
+
+# Another metric
+
+`plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
+function of two batches of points. It suits smooth metrics; among obstacles it errs far more than `construct_pairs`.
+
+```python
+def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
+    half = np.sin((a - b) / 2) ** 2
+    return 2 * np.arcsin(np.sqrt(half[:, 0] + np.cos(a[:, 0]) * np.cos(b[:, 0]) * half[:, 1]))
+
+region = plr_jax.Box((0.5, -0.3), (1.1, 0.6))
+metric = plr_jax.construct_metric_pairs(great_circle, region, leaf="continuous", max_leaves=500)
+print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.array([[1.0, 0.5]])))
+```
+
+# A list of goals
+
+Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, about
+as exact as those of `construct`. `plr_jax.stack` makes one function of many PLRs, a `plr_jax.PLRStack`.
+
+```python
+first = plr_jax.VisibilityGraph(workspace, y[0])
+oracles = [first, *(first.with_goal(goal) for goal in y[1:8])]
+plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=512)
+stack = plr_jax.stack(plrs)
+print(stack([0, 5, 7], x[:3]))  # the distance of x[0] to goal 0, of x[1] to goal 5, of x[2] to goal 7
+nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works inside jit
+
+docks = plr_jax.NearestGoal(oracles)
+print(docks(x[:3]), docks.which(x[:3]))  # distances, and which goal is nearest
+one = plr_jax.construct(docks, workspace.bounds, leaf="continuous", max_bytes=1024)
+```
+
+A stack is fastest if all its PLRs have the same leaf model. `NearestGoal` runs on the host. Nothing can be proven of
+a PLR of a `NearestGoal`. Everything that belongs to pairs is in `plr_jax.pairs`.
+"""

@@ -1,0 +1,94 @@
+r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
+
+All of them use the arithmetic that is part of the file format. So their answers are equal, bit for bit, to those of
+`plr.numpy()`, and to those of `plr(x)` on a CPU.
+
+```python
+from pathlib import Path
+
+import plr_jax
+
+problem = plr_jax.scenes.maze()
+oracle = plr_jax.VisibilityGraph(problem.workspace, problem.goals[0])
+plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
+plr_jax.save(plr, "maze.plr")
+
+Path("maze.h").write_text(plr.c_header("maze"))
+Path("maze.mjs").write_text(plr.js_module())
+```
+
+# NumPy
+
+`plr_jax.load_numpy` reads a file as a `plr_jax.NumpyPLR`. It does not import JAX, and answers a single point in a few
+microseconds. It has `bounds` and `waypoint` as well.
+
+```python
+f = plr_jax.load_numpy("maze.plr")  # or plr.numpy()
+print(f((0.93, 0.95)), f.bounds((0.93, 0.95)), f.waypoint((0.93, 0.95)), f.max_error)
+```
+
+# C and C++
+
+The header is C99, also valid C++. It allocates nothing and calls no library function except `sqrtf`. It defines:
+
+- `float maze_distance(const float x[2])`: the distance; `INFINITY` outside the domain, NaN for NaN.
+- `void maze_waypoint(const float x[2], float waypoint[2])`, for cones: the point to go to next.
+
+In a domain far from the origin, such as UTM coordinates, `x` is `double`. Compile with `-ffp-contract=off`: fused
+operations would change the last bits.
+
+```c
+#include <stdio.h>
+#include "maze.h"
+
+int main(void)
+{
+    const float x[2] = {0.93f, 0.95f};
+    float next[2];
+    maze_waypoint(x, next);
+    printf("%f, by way of (%f, %f)\n", maze_distance(x), next[0], next[1]);
+    return 0;
+}
+```
+
+```text
+cc -std=c99 -O2 -ffp-contract=off main.c -lm
+```
+
+# JavaScript
+
+The module imports nothing. For a PLR it exports `distance(x)` and, for cones, `waypoint(x)`:
+
+```js
+import { distance, waypoint } from "./maze.mjs";
+console.log(distance([0.93, 0.95]), waypoint([0.93, 0.95]));
+```
+
+`plr_jax.plot.page` writes a complete page for a browser, which shows the distance and loads nothing:
+
+```python
+plr_jax.plot.page(plr, problem.workspace).save("maze.html")
+```
+
+# Pairs
+
+The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. For C, take the
+distance to one goal. The header of a `plr_jax.GridPairs` defines `int32_t grid_steps(uint32_t from, uint32_t to)`. It
+reads tables from a file of their own, which `c_header` returns beside the text.
+
+```python
+import numpy as np
+
+pairs = plr_jax.construct_pairs(problem.workspace, max_bytes=1024)
+Path("pairs.mjs").write_text(pairs.js_module())
+Path("to_goal.h").write_text(pairs.to((0.06, 0.07)).c_header("to_goal"))
+print(pairs.numpy()((0.93, 0.95), (0.06, 0.07)))
+
+grid = plr_jax.construct_grid_pairs(np.ones((8, 8), bool))
+header = grid.c_header("grid")
+Path("grid.h").write_text(header.text)
+Path("grid.tables").write_bytes(header.table)
+```
+
+On the command line, `plr-jax export` writes all of these files: see `plr_jax.guides.command_line`.
+"""

@@ -1,0 +1,62 @@
+"""Guide: keep a distance function up to date while obstacles of the map come and go.
+
+Three calls follow a change: one for the map, one for the oracle, one for the PLR. Each reuses what the change does
+not touch, and returns a new object; the old ones stay valid for the old map.
+
+```python
+import plr_jax
+
+problem = plr_jax.scenes.maze()
+workspace, goal = problem.workspace, problem.goals[0]
+oracle = plr_jax.VisibilityGraph(workspace, goal)
+plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
+
+door = [(0.71, 0.19), (0.80, 0.19), (0.80, 0.23), (0.71, 0.23)]  # makes the lowest passage narrower
+closed = workspace.with_obstacles(add=[door])
+oracle_closed = oracle.with_workspace(closed)
+plr_closed = plr.updated(oracle_closed)
+
+x = closed.sample_free(1000, seed=0)
+print(plr_jax.metrics.error_map(plr_closed, oracle_closed, x), "no error above", plr_closed.max_error)
+
+opened = closed.with_obstacles(remove=[door])
+plr_opened = plr_closed.updated(oracle_closed.with_workspace(opened))
+```
+
+# The map
+
+`workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles as the class does. Name what
+is to be removed by its index in `workspace.obstacles`, or give the obstacle itself. All other obstacles keep their
+index: an empty polygon takes the place of a removed one. What another obstacle covers stays blocked.
+
+# The oracle
+
+`oracle.with_workspace(workspace)` of a `plr_jax.VisibilityGraph` finds visibility again only near the change. Its
+distances equal those of a new oracle, up to rounding. For another goal of the same map, use `oracle.with_goal(goal)`.
+
+# The PLR
+
+`plr.updated(oracle)` repairs a `plr_jax.PLR` instead of rebuilding it. It has three conditions:
+
+- The PLR has leaves `"cone"` and a proof: it was built with `certified=True` or `certified="leaves"`.
+- Both oracles are visibility graphs of the same goal.
+- The PLR still knows the oracle it was built from. A PLR from a file does not: call
+  `plr.updated(new_oracle, old_oracle)`.
+
+The new PLR keeps the byte budget, has a proof of its own, and errs about as much as one that is built from nothing.
+`max_bytes` sets another budget. The first update of a PLR takes longer than later ones.
+
+```python
+plr_jax.save(plr, "maze.plr")
+loaded = plr_jax.load("maze.plr")
+same = loaded.updated(oracle_closed, oracle)
+print(same.num_bytes, same.max_error)
+```
+
+# If nothing else changes often
+
+- Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
+  `plr_jax.guides.any_two_points`.
+- The map changes at every step, or inside `jit`: `plr_jax.grid_distance`, in `plr_jax.guides.inside_jit`.
+- Robots of a team are under way when the map changes: `plr_jax.replan`, in `plr_jax.guides.teams`.
+"""

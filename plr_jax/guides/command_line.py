@@ -1,0 +1,53 @@
+"""Guide: build, query, view and export distance functions, and plan, with the command `plr-jax`.
+
+`plr-jax --help` lists the commands, and `plr-jax build --help` the options of one. Without the script on the `PATH`,
+use `python -m plr_jax`.
+
+```sh
+plr-jax build maze --max-bytes 8192 --output maze.plr
+plr-jax info maze.plr
+echo "0.93,0.95" | plr-jax query maze.plr -
+echo "0.93,0.95" | plr-jax query maze.plr - --bounds
+plr-jax plot maze.plr --output maze.png
+plr-jax view maze.plr --output maze.html
+plr-jax export maze.plr --c --output maze.h
+plr-jax export maze.plr --js --output maze.mjs
+plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
+```
+
+# What each command does
+
+- `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
+  and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
+  JSON. A file needs `--goal X,Y`. The output has proven bounds. `--leaf best`, the default, compares leaves.
+- `info FILE` prints what is in a file: size, leaves, domain, proven error.
+- `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` reads standard input. A point outside the
+  domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient. For pairs, lines are `x,y,x,y`.
+- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network.
+- `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
+- `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found.
+- `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
+
+# From a picture to C
+
+A scanned plan has a scale and noise. `--resolution` is the side of a pixel in workspace units. `--drop-specks`
+removes obstacles of at most so many pixels. `--threshold` is the lightness above which a pixel is free. `--radius` is
+the radius of a round robot, for whose center the distance then is.
+
+```python
+import numpy as np
+from PIL import Image
+
+picture = np.full((60, 80), 255, np.uint8)  # 8-bit gray, white is free
+picture[20:40, 30:50] = 0
+Image.fromarray(picture).save("scan.png")
+```
+
+```sh
+plr-jax build scan.png --goal 0.5,0.5 --resolution 0.05 --radius 0.1 --max-bytes 1024 --output scan.plr
+plr-jax export scan.plr --c --output scan.h
+```
+
+In Python, `plr_jax.scenes.read_workspace("scan.png", resolution=0.05)` reads the same map. The origin is the lower
+left corner of the picture.
+"""

@@ -1,0 +1,113 @@
+"""Guide: build a cost-to-go from costs, voxels, bodies and arms, without an oracle.
+
+`plr_jax.solve_eikonal` needs only a *configuration space*, which says what is free, and a goal. With a *cost map* the
+cost of a motion differs from place to place. The result is a `plr_jax.PLR`, like that of `plr_jax.construct`.
+
+```python
+import numpy as np
+import plr_jax
+
+values = np.ones((40, 60))  # cost per unit of length, values[row, column]; row 0 is the lowest y
+values[10:30, 20:40] = 3  # a swamp: each unit of length costs 3
+values[15:25, 45:50] = np.inf  # blocked
+cost = plr_jax.RasterCost(values, bounds=((0, 0), (6, 4)))
+plr = plr_jax.solve_eikonal(cost.space(radius=0.1), goal=(0.5, 2), cost_map=cost, certified=False)
+print(cost([[3, 2]]), plr([[5.5, 2]]))  # the cost per unit of length there; the cost of the best path
+```
+
+- `certified=False` gives an estimate, in about a second; in up to three dimensions.
+- `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
+  no path through proven free cells was found. Limits: `max_leaves`, `max_bytes`, `tolerance`.
+
+# Costs
+
+A `plr_jax.CostMap` is a positive factor. A motion through `q` costs `cost_map(q)` times its length. For travel times,
+give the reciprocal of the speed.
+
+- `plr_jax.RasterCost`: a raster of factors. `from_costmap` and `from_occupancy_grid` read costs of ROS, `inflated`
+  adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files of `map_server` and TIFF.
+- `plr_jax.LipschitzCost`: a function, with a bound of how fast it changes. The proof relies on that bound.
+- `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current.
+- `plr_jax.MotionCost`: the length itself, for example with a weight for turns. Every space has one.
+
+```python
+workspace = plr_jax.scenes.maze().workspace
+slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
+space = plr_jax.PlaneSpace(workspace)  # a point; or PlaneSpace(workspace, DiscRobot(0.02))
+plr = plr_jax.solve_eikonal(space, goal=(0.06, 0.07), cost_map=slow, max_leaves=500)
+lower, upper = plr.bounds([[0.9, 0.9]])
+print(slow([[0.5, 0.5]]), lower, plr([[0.9, 0.9]]), upper)
+
+
+class Climb:  # a DirectionalCost: length, and 1 more for each unit of height, on a slope of 0.2 along x
+    def __call__(self, q):
+        return np.full(len(q), 1.2)
+
+    def bounds(self, lo, hi):
+        return np.ones(len(lo)), np.full(len(lo), 1.2)
+
+    def pulls(self, lo, hi):
+        uphill = np.tile([0.2, 0.0], (len(lo), 1))
+        return np.zeros_like(uphill), uphill, np.ones(len(lo)), np.ones(len(lo))
+
+
+climb = plr_jax.solve_eikonal(space, goal=(0.06, 0.07), cost_map=Climb(), max_leaves=500)
+```
+
+# Volumes
+
+Voxels are `free[x, y, z]`, unlike rasters. `plr_jax.scenes.read_volume` reads `.npy`, `.3dmap` and meshes.
+
+```python
+free = np.ones((12, 12, 8), bool)
+free[6, :9] = False
+space = plr_jax.VoxelSpace(free, radius=0.4)  # a ball; radius 0 is a point
+plr = plr_jax.solve_eikonal(space, goal=(2, 2, 2), max_leaves=300, certified=False)
+graph = plr_jax.VoxelGraph(free, goal=(2.5, 2.5, 2.5), moves=26)  # exact lengths from voxel to voxel
+print(plr([[10.5, 2.5, 2.5]]), graph([[10.5, 2.5, 2.5]]))
+```
+
+# Bodies, arms, and any robot with a clearance
+
+- `plr_jax.RigidBodySpace`: position and heading of a rectangle or polygon.
+- `plr_jax.PlanarArm`: joint angles of an arm.
+- `plr_jax.ClearanceSpace`: any robot with a signed distance to obstacles, and a Lipschitz constant for each axis.
+
+```python
+hall = plr_jax.Workspace(((0, 0), (4, 3)), [[(1.8, 0), (2.2, 0), (2.2, 1.2), (1.8, 1.2)]])
+body = plr_jax.RigidBodySpace(hall, plr_jax.RectangleRobot(0.8, 0.3))
+moves = plr_jax.solve_eikonal(body, goal=(0.6, 0.5, 0), max_leaves=500, certified=False)
+
+arm = plr_jax.PlanarArm(hall, lengths=(0.8, 0.6), base=(0.9, 1.5), width=0.05)
+turns = plr_jax.solve_eikonal(arm, goal=(0, 0.5), max_leaves=500)
+
+centers, radii = np.array([[1, 1, 1], [3, 2, 2]]), np.array([0.8, 0.9])
+
+def clearance(q):  # of a ball of radius 0.2 among two spheres
+    return (np.linalg.norm(q[:, None] - centers, axis=2) - radii).min(axis=1) - 0.2
+
+ball = plr_jax.ClearanceSpace(((0, 0, 0), (4, 3, 3)), clearance, lipschitz=1)
+flight = plr_jax.solve_eikonal(ball, goal=(0.2, 2.5, 2.5), max_leaves=2000)
+print(moves((3.4, 0.5, 0)), turns((2, 0)), flight((3.8, 0.5, 0.5)), flight.bounds((3.8, 0.5, 0.5)))
+```
+
+# Your own space
+
+A class with `domain`, `motion_cost` and `is_free(q)` is a `plr_jax.FreeTest`: enough for an estimate.
+
+```python
+class Pipe:  # the surface of a pipe: a length and an angle, with a hole
+    domain = plr_jax.Box((0, -np.pi), (10, np.pi), periodic=(False, True))
+    motion_cost = plr_jax.MotionCost([((0, 1), 1.0)])  # Euclidean length over both axes, for a radius of 1
+
+    def is_free(self, q):
+        return np.hypot(q[:, 0] - 5, q[:, 1]) >= 1
+
+walk = plr_jax.solve_eikonal(Pipe(), goal=(1, 0), max_leaves=500, certified=False)
+print(walk((9, 0)), walk((9, 3)))
+```
+
+Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
+`are_free(q0, q1)` tests motions. Only a proven answer may be FREE or BLOCKED; MIXED is always right. With
+`sees_boxes`, a space is a `plr_jax.SeesBoxes`, whose upper bounds are finite beside walls as well.
+"""

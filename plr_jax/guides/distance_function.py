@@ -1,0 +1,103 @@
+"""Guide: store the distance to a goal in a file of a few kilobytes.
+
+There are three steps: describe the map, choose an *oracle* (a function that computes the distance to the goal), and
+compress the oracle into a *piecewise linear regression*, a `plr_jax.PLR`. A PLR halves a box again and again. Each
+final cell, a *leaf*, holds a small function that approximates the distance.
+
+```python
+import plr_jax
+
+obstacles = [[(3, 0), (4, 0), (4, 4), (3, 4)], [(6, 2), (7, 2), (7, 6), (6, 6)]]
+workspace = plr_jax.Workspace(bounds=((0, 0), (10, 6)), obstacles=obstacles)
+oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
+plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
+
+x = workspace.sample_free(1000, seed=0)  # points (n, 2), one a row
+distance = plr(x)  # (n,), workspace units; inf outside the domain
+lower, upper = plr.bounds(x)  # proven, also for the rounding of the query
+print(plr.num_bytes, plr.num_leaves, plr.max_error)
+print(plr_jax.metrics.error_map(plr, oracle, x))
+```
+
+# Maps
+
+A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
+GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
+`Workspace.from_polygons(parts)` free space. For a disc, use `workspace.inflate(radius)`. Its rounded corners are
+inscribed polygons, so distances are never longer than the true ones. `plr_jax.scenes` also has ready-made maps.
+The domain of a PLR is a `plr_jax.Box`, of any dimension, which may be periodic along some axes.
+
+# Oracles
+
+A `plr_jax.DistanceFn` is any function from points `(n, dim)` to distances `(n,)`, with `inf` where the goal cannot be
+reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`. A PLR can.
+
+| oracle | distance |
+| --- | --- |
+| `plr_jax.VisibilityGraph` | exact, for a point among polygons; its PLRs can be certified |
+| `plr_jax.Roadmap` | over a probabilistic roadmap (PRM*), for any configuration space with a collision test |
+| `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | steps over a grid of 2 or 3 dimensions |
+| `plr_jax.GridField` | interpolation of a raster of distances computed elsewhere, for example by scikit-fmm |
+| `plr_jax.Euclidean`, `plr_jax.Dubins`, `plr_jax.ReedsShepp` | straight line; cars without obstacles |
+| `plr_jax.NearestGoal` | the nearest of several goals; `which(x)` tells which one |
+
+Without an oracle, `plr_jax.solve_eikonal` builds the PLR: see `plr_jax.guides.costs_and_volumes`.
+
+```python
+import numpy as np
+
+roadmap = plr_jax.Roadmap.from_workspace(workspace, goal=(9, 1), num_samples=1000)
+by_roadmap = plr_jax.construct(roadmap, workspace.bounds, tolerance=0.2)
+
+poses = plr_jax.Box((-5, -5, -np.pi), (5, 5, np.pi), periodic=(False, False, True))
+parking = plr_jax.ReedsShepp(goal=(0, 0, 0), radius=1)
+car = plr_jax.construct(parking, poses, leaf="continuous", max_bytes=1024)
+print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
+```
+
+# Construction
+
+`plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
+the largest error in a cell. Leaves:
+
+- `"cone"`: the distance by way of one corner. Exact in most cells, 7 bytes for each corner used, polygons only.
+- `"continuous"`: does not jump where a path can cross from one cell to the next; in up to 6 dimensions.
+- `"smooth"`: as `"continuous"`, and its gradient hardly jumps; in 1 or 2 dimensions.
+- `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
+- `"best"`: builds several of these and keeps the one of least error. Use it for noisy scans with many corners.
+
+`certified=True` proves the largest error, `plr.max_error`, for any leaf if the oracle is a `VisibilityGraph`.
+`certified="leaves"` proves bounds for each leaf, at 2 bytes a leaf. `plr_jax.certify` does so for an existing PLR.
+`plr.lower` is a distance function that is never above the truth, so it is an admissible heuristic. It jumps between
+leaves, so it is not consistent: A* must reopen nodes.
+
+Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
+
+# Files and queries
+
+`plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
+`grad`. A PLR does not store walls, so a point in a wall also gets a number. `outside="clamp"` extends a PLR beyond
+its domain.
+
+```python
+import jax
+
+plr_jax.save(plr, "field.plr")
+again = plr_jax.load("field.plr")  # or plr_jax.from_bytes(plr.to_bytes())
+slope = jax.jit(jax.vmap(jax.grad(again)))(x)
+assert (again(x) == plr_jax.evaluate(plr, x)).all()
+plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
+```
+
+# Your own rules
+
+`plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. A rule is a function of a `plr_jax.CellFit`, the
+samples of a batch of cells. Fitting: `plr_jax.least_squares`. Which cell to split: `plr_jax.largest_error`,
+`plr_jax.center_error`, `plr_jax.maximum_depth`. Along which axis: `plr_jax.best_axis`, `plr_jax.cyclic_axis`.
+`executor` and `checkpoint` are for oracles that take minutes. File formats and leaf classes are in `plr_jax.plr`.
+
+```python
+options = plr_jax.BuildOptions(should_split=plr_jax.maximum_depth, split=plr_jax.cyclic_axis)
+paper = plr_jax.construct(oracle, workspace.bounds, max_depth=9, options=options)
+```
+"""

@@ -1,0 +1,76 @@
+"""Guide: turn a distance function into paths to the goal, or into directions.
+
+| you have | use | result |
+| --- | --- | --- |
+| a field and the map | `plr_jax.descend` | paths that never cross a wall |
+| a PLR of cones, no map | `plr_jax.trace` | paths read from the file; a first leg may cut a corner |
+| a PLR of cones, one step at a time | `plr.waypoint(x)` | the point to go to next |
+| a PLR, inside `jit` | `jax.grad(plr)` | the slope; it leads into walls at corners |
+| an exact oracle | `oracle.shortest_path(x)` | the exact path from one point |
+
+# Descend
+
+`plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, a start reaches
+the goal whenever a path exists, however poor the field is. The field only decides which way to go.
+
+```python
+import jax
+import numpy as np
+import plr_jax
+
+problem = plr_jax.scenes.maze()
+workspace, goal = problem.workspace, problem.goals[0]
+oracle = plr_jax.VisibilityGraph(workspace, goal)
+field = plr_jax.construct(oracle, workspace.bounds, max_bytes=1024, leaf="continuous")
+
+starts = workspace.sample_free(100, seed=0)
+descent = plr_jax.descend(field, workspace, starts, goal)
+print(descent.reached.mean(), descent.lengths[:3], oracle(starts[:3]))
+print(descent.paths[0])  # (m, 2): the vertices, from the start to the goal
+assert all(status is plr_jax.DescentStatus.REACHED for status in descent.status)
+```
+
+The result is a `plr_jax.Descent`; each `plr_jax.DescentStatus` says how one descent ended. In a configuration space,
+or with a `cost_map`, `descend` looks ahead by finite steps instead, and can get stuck. With a cost map, each start
+takes a few tenths of a second.
+
+```python
+space = plr_jax.PlaneSpace(workspace)
+slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
+costs = plr_jax.solve_eikonal(space, goal, cost_map=slow, certified=False)
+descent = plr_jax.descend(costs, space, starts[:2], goal, cost_map=slow)
+print(descent.costs, costs(starts[:2]))
+```
+
+# Trace
+
+A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
+from the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace
+to have every leg tested.
+
+```python
+cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
+traces = plr_jax.trace(cones, starts)
+tested = plr_jax.trace(cones, starts, workspace)
+print(traces.paths[0, : traces.counts[0]], traces.lengths[0])
+print((tested.status == plr_jax.TraceStatus.CROSSES_WALL).mean(), tested.arrived.mean())
+print(cones.waypoint(starts[:3]))  # also inside jit
+```
+
+# Gradient
+
+The gradient of a PLR points away from the goal. It has length 1 where the leaf is a cone, and about 1 in others.
+Shortest paths touch corners, so steps along the raw gradient end in walls there: keep a distance from walls, for
+example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` gives exact directions.
+
+```python
+toward_goal = -jax.vmap(jax.grad(cones))(starts)
+exact = oracle.directions(starts)
+print(np.einsum("ij,ij->i", toward_goal, exact).min())  # cosine of the angle between the two
+```
+
+# Search with a heuristic
+
+`plr.lower`, of a certified PLR, is never above the truth. With it, A* on a grid or a roadmap stays optimal if it
+reopens nodes. `plr_jax.ompl_objective` gives the same bounds to planners of OMPL: see `plr_jax.guides.teams`.
+"""

@@ -1,0 +1,65 @@
+"""Every public name is in a guide, and the examples of every guide run."""
+
+import inspect
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from page_helpers import blocks, run_page
+
+import plr_jax
+from plr_jax import guides
+
+PAGES = {name: getattr(guides, name).__doc__ for name in guides.__all__}
+MAX_LINES = 120
+
+
+def test_every_public_name_is_in_a_guide():
+    text = "\n".join(PAGES.values())
+    assert {f"plr_jax.{name}" for name in plr_jax.__all__ if name != "guides"} <= set(
+        re.findall(r"plr_jax\.\w+", text)
+    )
+
+
+def test_pages_are_short_and_the_index_and_the_readme_name_all_of_them():
+    readme = (Path(__file__).parent.parent / "README.md").read_text()
+    for name, page in PAGES.items():
+        assert len(page.splitlines()) <= MAX_LINES and blocks(page, "(?:python|sh)"), name
+        assert f"`plr_jax.guides.{name}`" in guides.__doc__ and f"guides/{name}.py" in readme
+    assert {path.stem for path in Path(guides.__file__).parent.glob("[!_]*.py")} == PAGES.keys()
+
+
+def test_every_name_in_a_guide_exists():
+    for page in [guides.__doc__, *PAGES.values()]:
+        for dotted in re.findall(r"\bplr_jax((?:\.[A-Za-z]\w*)+)", page):
+            found = plr_jax
+            for name in dotted[1:].split("."):
+                found = getattr(found, name)
+
+
+def test_the_index_tells_how_every_class_is_called():
+    classes = {name: public for name in plr_jax.__all__ if inspect.isclass(public := getattr(plr_jax, name))}
+    called = {name for name, each in classes.items() if any("__call__" in vars(base) for base in each.__mro__)}
+    rows = re.findall(r"^\| (`plr_jax.*?) \|", guides.__doc__, re.MULTILINE)
+    assert called == set(re.findall(r"plr_jax\.(\w+)", "".join(rows)))
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.full) for name in PAGES])
+@pytest.mark.usefixtures("unchecked_types")
+def test_the_examples_of_a_guide_run_from_top_to_bottom(name, tmp_path):
+    run_page(PAGES[name], tmp_path)
+    for code in blocks(PAGES[name], "c"):
+        (tmp_path / "main.c").write_text(code)
+        if shutil.which("cc"):
+            (command,) = [
+                line for line in "".join(blocks(PAGES[name], "text")).splitlines() if line.startswith("cc ")
+            ]
+            subprocess.run([*command.split(), "-o", "main"], cwd=tmp_path, check=True)
+            answer = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
+            assert answer == "2.045286, by way of (0.790000, 0.830000)\n"
+    for code in blocks(PAGES[name], "js"):
+        (tmp_path / "main.mjs").write_text(code)
+        if shutil.which("node"):
+            subprocess.run(["node", "main.mjs"], cwd=tmp_path, check=True, capture_output=True)
