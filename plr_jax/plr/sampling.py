@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_distances, as_numbers, as_values
+from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
@@ -140,11 +140,13 @@ def least_squares(
     References:
         Section III-A of the paper.
     """
-    plane = value @ pattern.pseudo_inverse.T
+    plane = row_products(value, pattern.pseudo_inverse.T)
     masked = masked_cells(weight)
     if len(masked):
         design, weight = pattern.design, weight[masked] * pattern.weight
-        plane[masked] = solve_planes(normal_matrices(design, weight), (weight * value[masked]) @ design)
+        plane[masked] = solve_planes(
+            normal_matrices(design, weight), row_products(weight * value[masked], design)
+        )
     return plane[:, 0], plane[:, 1:]
 
 
@@ -160,7 +162,7 @@ def normal_matrices(
     """The matrices of the normal equations of every cell."""
     k, terms = design.shape
     products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
-    return (weight @ products).reshape(-1, terms, terms)
+    return row_products(weight, products).reshape(-1, terms, terms)
 
 
 def solve_planes(
@@ -269,7 +271,7 @@ class Sampler:
         weight_of_fit = weight if self.weight_fn is None else weights_of_fit(reachable, weight)
         center, half = self.compute_coefficients(pattern, value, weight_of_fit)
         _check_planes(center, half, cells)
-        residual = value - (center[:, None] + half @ pattern.u.T)
+        residual = value - (center[:, None] + row_products(half, pattern.u.T))
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import product_in_order
+from plr_jax._arrays import product_in_order, row_products
 from plr_jax._types import DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
@@ -50,18 +50,36 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
     determine all values, the matrix divided by its diagonal is well conditioned, whatever the sizes of leaves.
     """
     from scipy.sparse import csc_array, diags_array
-    from scipy.sparse.linalg import cg, splu
+    from scipy.sparse.linalg import splu
 
     if dim > _MOST_DIM_OF_FACTORS:
         scale = 1 / np.sqrt(normal.diagonal())
-        scaled = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
-        values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
-        if not failed:
+        values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
+        if values is not None:
             return scale * values
     # Without pivoting, the factors of such a matrix fill in a quarter as much.
     options = {"SymmetricMode": True}
     factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return factors.solve(moments)
+
+
+def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+    """Solve a symmetric positive definite system; None if ``_MOST_STEPS`` steps leave too large a residual.
+
+    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and cost several times the solve.
+    ``np.einsum`` starts no threads.
+    """
+    values, residual, direction = np.zeros_like(right), right, right
+    square = first = np.einsum("i,i", right, right)
+    for _ in range(_MOST_STEPS):
+        if square <= _RESIDUAL**2 * first:
+            return values
+        image = matrix @ direction
+        step = square / np.einsum("i,i", direction, image)
+        values, residual = values + step * direction, residual - step * image
+        before, square = square, np.einsum("i,i", residual, residual)
+        direction = residual + square / before * direction
+    return None
 
 
 _NUM_POINTS = 32
@@ -340,15 +358,15 @@ def fit_values(
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     each = np.arange(leaves + 1)
-    of_leaves = bsr_array(((weight @ products).reshape(-1, terms, terms), each[:-1], each))
+    of_leaves = bsr_array((row_products(weight, products).reshape(-1, terms, terms), each[:-1], each))
     squares = numbers.T @ (of_leaves @ numbers)
     is_predicted = np.diff(space.prediction.indptr) > 0
     surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
     mean = np.sum(weight * fit.value) / np.sum(weight)
-    moments = ((weight * (fit.value - mean)) @ functions).ravel()
+    moments = row_products(weight * (fit.value - mean), functions).ravel()
     values = mean + solve_normal(normal, numbers.T @ moments, fit.cells.dim)
-    errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
+    errors = fit.value - row_products((numbers @ values).reshape(leaves, terms), functions.T)
     return values, np.where(weight > 0, errors, 0.0)
 
 
