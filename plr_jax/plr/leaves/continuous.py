@@ -232,7 +232,8 @@ def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:
 
 
 _MOST_SPLIT = 0.5  # of the leaves in one round, before all are fitted again
-_ROUNDS_TO_END = 64  # a round splits at least one in so many leaves, while the limits allow
+# A round splits at least one in 16 leaves, and one in 64 where more exceed the budget of bytes.
+_LEAST_SPLIT, _LEAST_SPLIT_AT_END = 1 / 16, 1 / 64
 # Between the largest error (0) and the mean error (1): a cell counts by its volume to this power.
 _VOLUME_POWER = 0.25
 # Values are rounded to multiples of this times the mean error: bits for leaves rather than for digits.
@@ -293,7 +294,7 @@ class _Rounds:
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._most = len(leaf) // 2
-            if _ROUNDS_TO_END * self._most < len(now):
+            if self._most < _LEAST_SPLIT_AT_END * len(now):
                 return None
 
     def _next_splits(self, now: _Fitted) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
@@ -303,7 +304,7 @@ class _Rounds:
         if np.isfinite(limits.max_bytes):
             room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
         # The better half of what there is room for: errors change as neighbors are split.
-        number = max((room + 1) // 2, len(now) // _ROUNDS_TO_END, 1)
+        number = max((room + 1) // 2, int(_LEAST_SPLIT * len(now)), 1)
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
