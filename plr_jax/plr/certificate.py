@@ -11,6 +11,8 @@ A file keeps them as bits, after the leaves:
       for every class but the last, the largest first, the set of those leaves, of all that are in no class before,
       that are not in this one either (see ``coding.py``)
     where each leaf has bounds: codes of all lower ones, then of all upper ones, 8 bits each
+    if open leaves have a negative largest error: a straight line that bounds from below (see ``Certificate``), as
+      32-bit floats
 
 A bound is ``scale * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and
 the smallest is 4e-7 of the largest. All of them are rounded away from zero.
@@ -326,11 +328,15 @@ class Certificate:
         scale: Of the codes: the largest bound there is; exact in 32 bits.
         codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
         proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
+        straight: A lower bound by the straight line to the goal: ``rate`` times the length, less a margin for
+            rounding. The goal, counted from the lower corner of the domain, then the rate and the margin, as 32-bit
+            floats. None if there is no such bound. For open leaves only.
     """
 
     scale: float
     codes: UInt8[np.ndarray, "2 leaves"] | None
     proof: Proof
+    straight: Float[np.ndarray, "numbers"] | None = None
 
     @staticmethod
     def of(
@@ -409,25 +415,32 @@ class Certificate:
     def write(self, body: BitWriter) -> None:
         """Append it to a file."""
         classes = self.codes if self.proof is Proof.CLASSES else None
-        body.write_floats(np.array([self.scale if classes is None else -self.scale]))
+        has_more = classes is not None or self.straight is not None
+        body.write_floats(np.array([-self.scale if has_more else self.scale]))
         if classes is not None:
             write_classes(body, classes)
         elif self.codes is not None:
             body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
+        if self.straight is not None:
+            body.write_floats(self.straight)
 
 
-def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certificate | None:
+def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
     """What :meth:`Certificate.write` appended; raises ``ValueError`` saying what is wrong with it."""
     if proof is Proof.NONE:
         return None
-    scale, codes = float(body.read_floats(1)[0]), None
-    if not 0 < (abs(scale) if proof is Proof.CLASSES else scale) < LARGEST:
+    scale, codes, straight = float(body.read_floats(1)[0]), None, None
+    if not 0 < (scale if proof is Proof.LEAVES else abs(scale)) < LARGEST:
         raise ValueError(f"it states a largest error of {scale}")
-    if scale < 0:
+    if scale < 0 and proof is Proof.CLASSES:
         codes = read_classes(body, num_leaves)
     elif proof is not Proof.CLASSES:
         codes = body.read_alike(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
-    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
+    if scale < 0 and proof is Proof.OPEN_LEAVES:
+        straight = body.read_floats(dim + 2)
+        if not (np.isfinite(straight).all() and (straight[dim:] >= 0).all()):
+            raise ValueError("it states a straight line to the goal with numbers that are none")
+    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof, straight)
 
 
 def _of_codes(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
