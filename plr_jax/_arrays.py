@@ -218,6 +218,14 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"
     return total
 
 
+def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:
+    """Return ``a @ b``, computed row by row.
+
+    BLAS computes large products in threads, which wait busily after it and so cost more than the product.
+    """
+    return np.matmul(a[:, None], b)[:, 0]
+
+
 def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "terms m"]) -> Float[np.ndarray, "n m"]:
     """Return ``a @ b`` with each entry summed from left to right, so that all CPUs round equally."""
     total = np.zeros((len(a), b.shape[1]))

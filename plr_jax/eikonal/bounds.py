@@ -27,7 +27,7 @@ from plr_jax.plr.faces import overlapping_leaves
 from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
-from plr_jax.plr.leaves.base import Rules, check_limits
+from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
 from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
@@ -43,6 +43,10 @@ _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-1
 # Share of its bounds by which an estimate outside of them deserves a warning; and the share of the largest bound
 # below which the bounds are too small to be compared with.
 _OFF, _NEAR = 0.1, 0.01
+
+# Share of a straight line's length that is more than its evaluation in 32 bits rounds; and costs of straight lines
+# whose squares 32 bits hold.
+_OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Points: TypeAlias = Float[np.ndarray, "n dim"]
@@ -307,7 +311,9 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     """The best partition whose file has at most so many bytes, grown from the estimate."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
-    limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain))
+    limits = check_limits(
+        model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain) + 4 * (domain.dim + 2)
+    )
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     contents = DecodedFile(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
@@ -359,7 +365,21 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
-    return replace(contents, certificate=certificate)
+    return replace(contents, certificate=replace(certificate, straight=_straight_bound(field)))
+
+
+def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
+    """Return the goal, the rate and the margin of the lower bound by the straight line, as a certificate has them.
+
+    The margin covers the rounding of coordinates to 32 bits, the rate that of the length.
+    """
+    domain, costs = field.mesh.domain, field.program.costs
+    largest = float(largest_coordinates(domain).sum())
+    if len(costs.motion.blocks) > 1 or domain.is_periodic or not _TINIEST < costs.least_rate * largest < _LARGEST:
+        return None
+    goal = field.paths.points[-1] * domain.width
+    rate = (1 - _OF_LENGTHS) * costs.motion.blocks[0][1] * costs.least_rate
+    return np.array([*goal, rate, 8 * UNIT * rate * largest], np.float32).astype(np.float64)
 
 
 def _above_voxel_paths(

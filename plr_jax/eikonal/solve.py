@@ -164,10 +164,12 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
     """
     error = largest_error(fit)
     inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # beyond a face may be another side of a wall
-    lost = np.flatnonzero(~fit.reachable[:, inside].any(axis=1))
+    is_large = (fit.cells.depth < _CUT_OFF_SPLITS).any(axis=1)
+    lost = np.flatnonzero(is_large & ~fit.reachable[:, inside].any(axis=1))
+    if not len(lost):
+        return error
     lenders = np.flatnonzero(fit.reachable.any(axis=1))
-    beside = neighbor_of_largest_contact(fit.cells, lost, lenders, space.domain.periodic) >= 0
-    lost = lost[beside & (fit.cells.depth[lost] < _CUT_OFF_SPLITS).any(axis=1)]
+    lost = lost[neighbor_of_largest_contact(fit.cells, lost, lenders, space.domain.periodic) >= 0]
     q = fit.cells[lost].points(fit.pattern.u[inside], space.domain)
     is_free = as_booleans("is_free", space.is_free(q.reshape(-1, q.shape[2])), q.shape[0] * q.shape[1])
     cut_off = lost[is_free.reshape(q.shape[:2]).any(axis=1)]

@@ -72,7 +72,7 @@ def decode(data: bytes) -> DecodedFile:
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"it has a proof of kind {layer.proof_code}, this release knows kinds 0 to {max(Proof)}")
-    certificate = read_certificate(body, Proof(layer.proof_code), len(cells))
+    certificate = read_certificate(body, Proof(layer.proof_code), len(cells), dim)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
     return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding)

@@ -90,16 +90,25 @@ class PLR(FileBacked):
         with jax.ensure_compile_time_eval():
             return jnp.asarray(padded(bounds.T, rows).T)
 
+    @cached_property
+    def _straight(self) -> Float[Array, "_"] | None:
+        """The lower bound by the straight line: see :class:`Certificate`."""
+        certificate = self._contents.certificate
+        if certificate is None or certificate.straight is None:
+            return None
+        return jax.device_put(certificate.straight.astype(np.float32))
+
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        """Return the tables, the file and the band."""
-        return tuple((GetAttrKey(name), getattr(self, name)) for name in ("tables", "file", "band")), None
+        """Return the tables, the file, the band and the straight line."""
+        names = ("tables", "file", "band", "_straight")
+        return tuple((GetAttrKey(name), getattr(self, name)) for name in names), None
 
     @classmethod
-    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any]) -> "PLR":
-        """Return the PLR of tables, a file and a band."""
-        tables, file, band = children
+    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any, Any]) -> "PLR":
+        """Return the PLR of tables, a file, a band and a straight line."""
+        tables, file, band, straight = children
         plr = cls(file)
-        plr.tables, plr.band = tables, band
+        plr.tables, plr.band, plr._straight = tables, band, straight
         return plr
 
     def __getattr__(self, name: str) -> Any:
@@ -114,6 +123,7 @@ class PLR(FileBacked):
         labeled = super().with_label(label)
         if labeled is not self:
             labeled.tables, labeled.band, labeled.build_inputs = self.tables, self.band, self.build_inputs
+            labeled._straight = self._straight
         return labeled
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -174,7 +184,7 @@ class PLR(FileBacked):
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
-        return bound_points(tables, band, placed)
+        return bound_points(tables, band, self._straight, placed)
 
     @property
     def lower(self) -> "LowerBound":
@@ -490,7 +500,9 @@ class LowerBound:
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
         first, *_ = fns
-        return replace(first.plr.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))
+        return replace(
+            first.plr.stack([fn.plr for fn in fns]), bands=tuple((fn.plr.band, fn.plr._straight) for fn in fns)
+        )
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -522,7 +534,7 @@ def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | No
     plr = PLR(padded_file(data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
-    _ = plr.tables, plr.band, plr._corner_if_far
+    _ = plr.tables, plr.band, plr._straight, plr._corner_if_far
     del plr._contents
     return plr
 

@@ -6,11 +6,12 @@ Where only a bound of the distance at a center is known, bounds may be less tigh
 
 A file stores a certificate as bits, after the leaves:
 
-    largest error, a 32-bit float; negative if bounds of classes of leaves follow
+    largest error, a 32-bit float; negative if classes, or a straight line, follow
     classes: number of classes less one, 4 bits; codes of their lower, then of their upper bounds, 8 bits each;
       for every class but the last, in order of size: the set of leaves, of those not in an earlier class, that are
       not in this class (sets as in ``coding.py``)
     bounds of every leaf: codes of all lower, then of all upper bounds, 8 bits each
+    if open leaves have a negative largest error: the straight-line bound (``Certificate.straight``), 32-bit floats
 
 A bound is ``scale * 2**((code - 255) / 12)``, below or above the leaf's value: one code more is 6 % more, and the
 smallest bound is 4e-7 of the largest. All bounds are rounded away from zero.
@@ -310,11 +311,15 @@ class Certificate:
     Attributes:
         scale: The largest bound, exact in 32 bits, in which codes are expressed.
         codes: Codes of lower and upper bounds; None if only the scale is stored.
+        straight: A lower bound by the straight line to the goal: ``rate`` times its length, less a margin for rounding.
+            Holds the goal, counted from the lower corner of the domain, the rate and the margin, as 32-bit floats.
+            None if there is no such bound. Only for open leaves.
     """
 
     scale: float
     codes: UInt8[np.ndarray, "2 leaves"] | None
     proof: Proof
+    straight: Float[np.ndarray, "numbers"] | None = None
 
     @staticmethod
     def of(
@@ -390,25 +395,32 @@ class Certificate:
 
     def write(self, body: BitWriter) -> None:
         classes = self.codes if self.proof is Proof.CLASSES else None
-        body.write_floats(np.array([self.scale if classes is None else -self.scale]))
+        has_more = classes is not None or self.straight is not None
+        body.write_floats(np.array([-self.scale if has_more else self.scale]))
         if classes is not None:
             write_classes(body, classes)
         elif self.codes is not None:
             body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
+        if self.straight is not None:
+            body.write_floats(self.straight)
 
 
-def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certificate | None:
+def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
     """Read what :meth:`Certificate.write` appended; ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
-    scale, codes = float(body.read_floats(1)[0]), None
-    if not 0 < (abs(scale) if proof is Proof.CLASSES else scale) < LARGEST:
+    scale, codes, straight = float(body.read_floats(1)[0]), None, None
+    if not 0 < (scale if proof is Proof.LEAVES else abs(scale)) < LARGEST:
         raise ValueError(f"it states a largest error of {scale}")
-    if scale < 0:
+    if scale < 0 and proof is Proof.CLASSES:
         codes = read_classes(body, num_leaves)
     elif proof is not Proof.CLASSES:
         codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
-    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
+    if scale < 0 and proof is Proof.OPEN_LEAVES:
+        straight = body.read_floats(dim + 2)
+        if not (np.isfinite(straight).all() and (straight[dim:] >= 0).all()):
+            raise ValueError("it states a straight line to the goal with numbers that are none")
+    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof, straight)
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:

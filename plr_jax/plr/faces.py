@@ -138,7 +138,7 @@ def neighbor_of_largest_contact(
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
     is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    contact = _contacts(cells, mine, others, is_periodic)
+    contact = _contacts(cells, cells.depth.max(axis=0), mine, others, is_periodic)
     order = np.lexsort((others, -contact, mine))
     mine, others = mine[order], others[order]
     first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
@@ -152,6 +152,7 @@ def touching_leaves(
 ) -> Int[np.ndarray, "2 pairs"]:
     """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner."""
     is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
+    finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
     for splits in reversed(tree.splits):
@@ -159,17 +160,21 @@ def touching_leaves(
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
-        stays[stays] = _contacts(tree.cells, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        stays[stays] = _contacts(tree.cells, finest, pairs[0, stays], pairs[1, stays], is_periodic) > 0
         return stays
 
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
 
 
 def _contacts(
-    cells: Cells, a: Int[np.ndarray, "n"], b: Int[np.ndarray, "n"], is_periodic: Bool[np.ndarray, "dim"]
+    cells: Cells,
+    finest: Int[np.ndarray, "dim"],
+    a: Int[np.ndarray, "n"],
+    b: Int[np.ndarray, "n"],
+    is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
     """Return the size of the contact of pairs of cells, as a share of the domain; 0 where they do not touch."""
-    contact, finest = np.ones(len(a)), cells.depth.max(axis=0)
+    contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
         lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import row_products
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import body_size
 from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
@@ -257,15 +258,15 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     """Return the sum of squared residuals of each cell if both halves along each axis were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
-    total = np.square(residual) @ fit.pattern.weight
+    total = row_products(np.square(residual), fit.pattern.weight)
     total[masked] = (weight * np.square(residual[masked])).sum(axis=1)
     squares = np.empty(fit.half.shape)
     for axis, basis in enumerate(fit.pattern.halves_bases):
-        squares[:, axis] = total - np.square(residual @ basis).sum(axis=1)
+        squares[:, axis] = total - np.square(row_products(residual, basis)).sum(axis=1)
         if len(masked):
             explained = np.zeros(len(masked))
             for design in np.split(fit.pattern.halves[axis], 2, axis=1):
-                projection = (weight * residual[masked]) @ design
+                projection = row_products(weight * residual[masked], design)
                 explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
             squares[masked, axis] = total[masked] - explained
     return squares

@@ -55,7 +55,7 @@ def _as_float_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 
 def bounds_of_tables(
-    tables: Tables, band: Float[Array, "2 rows"], x: Array
+    tables: Tables, band: Float[Array, "2 rows"], straight: Float[Array, "_"] | None, x: Array
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Lower and upper bounds of the distance at each point: what is answered, and the band of its leaf, or of all.
 
@@ -74,7 +74,15 @@ def bounds_of_tables(
             (value + above.astype(value.dtype), jnp.inf),
         )
     )
-    return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
+    lower = jnp.maximum(lower, 0)
+    if straight is not None:
+        goal, rate, margin = jnp.split(straight.astype(value.dtype), [tables.dim, tables.dim + 1])
+        above = x.astype(value.dtype) - tables.frame[Frame.LO] - tables.frame[Frame.LO_REST]
+        square = jnp.sum(jnp.square(above - goal), axis=-1)
+        # At the goal a root of 0 would have no gradient.
+        line = jnp.sqrt(jnp.maximum(square, jnp.finfo(value.dtype).tiny)) * rate[0] - margin[0]
+        lower = jnp.maximum(lower, line)
+    return jnp.where(value < jnp.inf, lower, value), jnp.where(value < jnp.inf, upper, value)
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
@@ -415,7 +423,7 @@ class TableStack:
     """
 
     tables: tuple[Tables, ...]
-    bands: tuple[Float[Array, "2 _"] | None, ...]
+    bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]
     placements: tuple[PointPlacement | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
@@ -449,11 +457,13 @@ class TableStack:
 
 @jax.jit
 def _evaluate(
-    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 _"] | None, ...], q: Float[Array, "n robots dof"]
+    tables: tuple[Tables, ...],
+    bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...],
+    q: Float[Array, "n robots dof"],
 ) -> tuple[Float[Array, "n"], ...]:
     """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
-        evaluate_tables(table, part) if band is None else bounds_of_tables(table, band, part)[0]
+        evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]
         for table, band, part in zip(tables, bands, parts, strict=True)
     )

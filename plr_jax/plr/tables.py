@@ -174,10 +174,10 @@ def pack_blocks(
         word = np.zeros(len(shape), np.int64) if words else first
         for column in here.T[::-1]:
             word = (word << width) | column
-        words.append(jnp.asarray(word.astype(np.uint32)))
+        words.append(jax.device_put(word.astype(np.uint32)))
         axes.append(here.shape[1])
         room = WORD_BITS // width
-    return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
+    return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
 
 def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
@@ -289,7 +289,7 @@ def build_pages(
         words = padded((start << page_bits.sum()) | mask, 1 << most_bits)
         place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), right_of_place]
         place_bits.append(np.full_like(bits, page_bits.sum()))
-        pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
+        pages = Pages(jax.device_put(words.astype(np.uint32)), jax.device_put(np.stack(place_bits).astype(np.uint32)))
         return pages, block_bits, leaf_of_slot
     return None
 
@@ -390,10 +390,10 @@ class Tables:
             return self
         domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
         window = FoldedDomain(
-            frame=jnp.asarray(frame_of(domain)),
-            center=jnp.asarray(center),
-            corners=jnp.asarray(corners),
-            axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
+            frame=jax.device_put(frame_of(domain)),
+            center=jax.device_put(center),
+            corners=jax.device_put(corners),
+            axes=jax.device_put(folding.axes.astype(np.float32)) if folding.is_turned else None,
             mirrors=mirrored_axes(folding),
             periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
         )
@@ -436,12 +436,12 @@ def build_tables(
     # An index is made of the first bits along each axis of a point's place.
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
-        frame=jnp.asarray(frame_of(domain)),
-        bits=jnp.asarray(np.stack([mask, FRACTION_BITS - np.cumsum(top[::-1])[::-1]]).astype(np.uint32)),
+        frame=jax.device_put(frame_of(domain)),
+        bits=jax.device_put(np.stack([mask, FRACTION_BITS - np.cumsum(top[::-1])[::-1]]).astype(np.uint32)),
         blocks=blocks,
         pages=pages,
-        leaf_of_slot=jnp.asarray(padded(leaf_of_slot, slots)),
-        leaf_parameters=jnp.asarray(of_leaves),
+        leaf_of_slot=jax.device_put(padded(leaf_of_slot, slots)),
+        leaf_parameters=jax.device_put(of_leaves),
         leaf=leaf,
         periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
         unresolved=unresolved_types(domain),

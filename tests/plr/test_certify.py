@@ -161,7 +161,7 @@ def test_codes_are_rounded_outward_by_little_and_read_as_they_were_written(seed,
     assert certificate.max_error == (np.inf if is_open.any() else found)
     body = written(certificate)
     assert body.num_bits == proof.num_bits(50, 0)
-    again = read_certificate(BitReader(body.to_bytes()), proof, 50)
+    again = read_certificate(BitReader(body.to_bytes()), proof, 50, 2)
     assert again is not None and again.proof is proof is certificate.proof
     assert again.max_error == certificate.max_error
     np.testing.assert_array_equal(again.bounds(), certificate.bounds())
@@ -183,10 +183,10 @@ def test_nothing_above_zero_and_leaves_that_are_all_open_are_a_proof_too():
 )
 def test_a_largest_error_that_makes_no_sense_or_is_cut_short_is_refused(proof, value):
     with pytest.raises(ValueError, match="states a largest error of"):
-        read_certificate(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0)
+        read_certificate(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0, 2)
     body = BitWriter().write_floats(np.array([0.5])).write(np.arange(5), 8)
     with pytest.raises(ValueError, match="end too early"):
-        read_certificate(BitReader(body.to_bytes()), Proof.LEAVES, 3)
+        read_certificate(BitReader(body.to_bytes()), Proof.LEAVES, 3, 2)
 
 
 # Classes of leaves, against all partitions of few leaves, and as a file keeps them.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import product_in_order
+from plr_jax._arrays import product_in_order, row_products
 from plr_jax._types import DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
@@ -57,18 +57,36 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
     long as samples determine all values.
     """
     from scipy.sparse import csc_array, diags_array
-    from scipy.sparse.linalg import cg, splu
+    from scipy.sparse.linalg import splu
 
     if dim > _MOST_DIM_OF_FACTORS:
         scale = 1 / np.sqrt(normal.diagonal())
-        scaled = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
-        values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
-        if not failed:
+        values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
+        if values is not None:
             return scale * values
     # Without pivoting, the factors of such a matrix have a quarter of the entries.
     options = {"SymmetricMode": True}
     factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return factors.solve(moments)
+
+
+def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+    """Solve a symmetric positive definite system; None if ``_MOST_STEPS`` steps leave too large a residual.
+
+    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and cost several times the solve.
+    ``np.einsum`` starts no threads.
+    """
+    values, residual, direction = np.zeros_like(right), right, right
+    square = first = np.einsum("i,i", right, right)
+    for _ in range(_MOST_STEPS):
+        if square <= _RESIDUAL**2 * first:
+            return values
+        image = matrix @ direction
+        step = square / np.einsum("i,i", direction, image)
+        values, residual = values + step * direction, residual - step * image
+        before, square = square, np.einsum("i,i", residual, residual)
+        direction = residual + square / before * direction
+    return None
 
 
 _NUM_POINTS = 32  # points that test a face
@@ -209,7 +227,8 @@ def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
 
 
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-_ROUNDS_TO_END = 64  # a round splits at least one leaf in this many, while the limits allow
+# A round splits at least one in 16 leaves, or one in 64 if splitting more exceeds the byte limit.
+_LEAST_SPLIT, _LEAST_SPLIT_AT_END = 1 / 16, 1 / 64
 # Split priority is error * volume**power: power 0 aims at the largest error, 1 at the mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to this multiple of the mean error: bytes serve the error better as leaves than as digits.
@@ -263,7 +282,7 @@ class _Rounds:
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._most = len(leaf) // 2
-            if _ROUNDS_TO_END * self._most < len(now):
+            if self._most < _LEAST_SPLIT_AT_END * len(now):
                 return None
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
@@ -272,7 +291,7 @@ class _Rounds:
         if np.isfinite(limits.max_bytes):
             room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
         # Only the better half of the splits that fit: errors change as neighbors are split.
-        number = max((room + 1) // 2, len(now) // _ROUNDS_TO_END, 1)
+        number = max((room + 1) // 2, int(_LEAST_SPLIT * len(now)), 1)
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
@@ -324,15 +343,15 @@ def fit_values(
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     each = np.arange(leaves + 1)
-    of_leaves = bsr_array(((weight @ products).reshape(-1, terms, terms), each[:-1], each))
+    of_leaves = bsr_array((row_products(weight, products).reshape(-1, terms, terms), each[:-1], each))
     squares = coefficients.T @ (of_leaves @ coefficients)
     is_predicted = np.diff(space.prediction.indptr) > 0
     surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
     mean = np.sum(weight * fit.value) / np.sum(weight)
-    moments = ((weight * (fit.value - mean)) @ functions).ravel()
+    moments = row_products(weight * (fit.value - mean), functions).ravel()
     values = mean + solve_normal(normal, coefficients.T @ moments, fit.cells.dim)
-    errors = fit.value - (coefficients @ values).reshape(leaves, terms) @ functions.T
+    errors = fit.value - row_products((coefficients @ values).reshape(leaves, terms), functions.T)
     return values, np.where(weight > 0, errors, 0.0)
 
 

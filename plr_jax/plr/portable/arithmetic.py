@@ -205,6 +205,15 @@ class Program:
             in_cell.append(do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1]))
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
+    def straight_bound(self, do: Operations, above: Point) -> Value | None:
+        """The lower bound by the straight line from a placed point to the goal; None if the file has none."""
+        certificate = self.contents.certificate
+        if certificate is None or certificate.straight is None:
+            return None
+        *goal, rate, margin = certificate.straight.astype(np.float32)
+        changes = [do.let("change", along - to) for along, to in zip(above, goal, strict=True)]
+        return do.root(reduce(add, [change * change for change in changes])) * rate - margin
+
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
         """The source of a leaf of given numbers."""
         corner = self.frame[Frame.LO] if self.corner is None else self.corner

@@ -153,13 +153,14 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
-    def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression]:
-        """A function as far as its value, given what it answers for NaN, and else outside."""
+    def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
+        """Write a function up to its value, given its answers for NaN and outside; return the point's offsets too."""
         do = JavaScriptEmitter()
         outside = [f"return {nan_condition(dim)} ? {of_nan} : {others};"]
-        return do, program.value(do, *write_lookup(do, program, "double", read_leaf, outside))
+        offsets, numbers = write_lookup(do, program, "double", read_leaf, outside)
+        return do, program.value(do, offsets, numbers), offsets
 
-    do, answer = value("NaN", "Infinity")
+    do, answer, _ = value("NaN", "Infinity")
     do.statements.append(f"return {answer};")
     lines = _descent(tree, program.leaf.is_cell_relative) if has_tree else []
     lines += js_function("export function distance(x)", do.used_statements())
@@ -169,13 +170,14 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         do.statements.append(f"return [{', '.join(map(str, program.waypoint(numbers)))}];")
         lines += js_function("export function waypoint(x)", do.used_statements())
     if is_proven:
-        do, answer = value("[NaN, NaN]", "[Infinity, Infinity]")
+        do, answer, above_corner = value("[NaN, NaN]", "[Infinity, Infinity]")
+        straight = program.straight_bound(do, above_corner)
         below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
         do.statements += [
             f"const value = {answer};",
             "if (value === Infinity) return [value, value];",
             f"const lower = beside({below}, false);",
-            f"return [lower > 0 ? lower : 0, beside({above}, true)];",
+            f"return [Math.max(lower, {0 if straight is None else straight}, 0), beside({above}, true)];",
         ]
         lines += js_function("export function bounds(x)", do.used_statements())
     return lines
