@@ -63,8 +63,26 @@ def outline_of(
             first.append(len(vertex))
     index = np.array(vertex)
     step = lattice_step(boundary.vertices - origin, width, tolerance)
-    points = np.rint((boundary.vertices[index] - origin) / step).astype(np.int64)
+    points = distinct_lattice_points((boundary.vertices - origin) / step)[index]
     return Outline(origin, step, points, np.array(first), may_squeeze), index
+
+
+def distinct_lattice_points(x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+    """Round points to integers, those that would share a place with another point to a free place beside it.
+
+    So only vertices in which obstacles touch have a place in common, and a gap stays open however narrow it is.
+    """
+    points = np.rint(x).astype(np.int64)
+    _, first = np.unique(points, axis=0, return_index=True)
+    if len(first) < len(points):
+        taken = set(map(tuple, points[first].tolist()))
+        for i in np.setdiff1d(np.arange(len(points)), first):
+            sites = points[i] + np.stack(np.divmod(np.arange(9), 3), axis=1) - 1
+            nearest = sites[np.argsort(np.linalg.norm(sites - x[i], axis=1), kind="stable")].tolist()
+            free = next((tuple(site) for site in nearest if tuple(site) not in taken), tuple(points[i]))
+            taken.add(free)
+            points[i] = free
+    return points
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
@@ -72,8 +90,10 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= _FINEST * width)])[::-1]:
-        if np.abs(points - step * np.rint(points / step)).max(initial=0.0) <= tolerance:
-            return float(step)
+        steps_away = np.rint(points / step)
+        if np.abs(points - step * steps_away).max(initial=0.0) <= tolerance:
+            if len(np.unique(steps_away, axis=0)) == len(points):
+                return float(step)
     return float(2.0 ** np.floor(np.log2(_FINEST * width)))
 
 
