@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary
@@ -63,26 +65,31 @@ def outline_of(
             first.append(len(vertex))
     index = np.array(vertex)
     step = lattice_step(boundary.vertices - origin, width, tolerance)
-    points = distinct_lattice_points((boundary.vertices - origin) / step)[index]
+    points = distinct_lattice_points((boundary.vertices - origin) / step, edges)[index]
     return Outline(origin, step, points, np.array(first), may_squeeze), index
 
 
-def distinct_lattice_points(x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+def distinct_lattice_points(
+    x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
+) -> Int[np.ndarray, "n 2"]:
     """Round points to integers, those that would share a place with another point to a free place beside it.
 
-    So only vertices in which obstacles touch have a place in common, and a gap stays open however narrow it is.
+    Only ends of an edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
     """
-    points = np.rint(x).astype(np.int64)
+    points, num = np.rint(x).astype(np.int64), len(x)
+    short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
+    graph = coo_array((np.ones(len(short)), short.T), shape=(num, num))
+    _, member, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
+    x, points = x[member], points[member]
     _, first = np.unique(points, axis=0, return_index=True)
     if len(first) < len(points):
         taken = set(map(tuple, points[first].tolist()))
         for i in np.setdiff1d(np.arange(len(points)), first):
             sites = points[i] + np.stack(np.divmod(np.arange(9), 3), axis=1) - 1
             nearest = sites[np.argsort(np.linalg.norm(sites - x[i], axis=1), kind="stable")].tolist()
-            free = next((tuple(site) for site in nearest if tuple(site) not in taken), tuple(points[i]))
-            taken.add(free)
-            points[i] = free
-    return points
+            points[i] = next((site for site in nearest if tuple(site) not in taken), points[i])
+            taken.add(tuple(points[i].tolist()))
+    return points[group]
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
@@ -300,7 +307,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
     """Walls of an outline that are not surely inside of obstacles after they move back, where contacts open."""
-    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, opens_contacts=True).reshape(-1, 2, 2))
+    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
 

@@ -78,15 +78,19 @@ class Outline:
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
-    def _is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Contacts of free space that no path may squeeze through."""
-        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
-        return (count[index] > 1) & (not self.may_squeeze)
+    def is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Contacts of free space that no path may squeeze through: places at which several walls begin."""
+        _, index = np.unique(self.points, axis=0, return_inverse=True)
+        return (np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1) & (not self.may_squeeze)
+
+    @cached_property
+    def _has_length(self) -> Bool[np.ndarray, "walls"]:
+        return (self.points[self._following] != self.points).any(axis=1)
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
         """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
-        following, at = self._following.copy(), np.flatnonzero(self._is_contact)
+        following, at = self._following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
         _, place = np.unique(self.points[at], axis=0, return_inverse=True)
@@ -140,14 +144,27 @@ class Outline:
             is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
-    def moved_walls(self, distance: float, *, opens_contacts: bool = False) -> Float[np.ndarray, "walls 4"]:
+    def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative.
 
-        If contacts open, obstacles that touch recede from one another there.
+        Walls that move back leave contacts open, and cut off tips. So further walls, there and back, go from the
+        contact, or from where a tip may be cut off, to where the walls meet.
+
+        Args:
+            distance: How far they move.
+            surely: Whether all walls move back, however thin obstacles are, and without the further walls.
         """
-        following = self._following_past_contacts if opens_contacts else self._following
-        moved = self.positions - distance * self._moves(distance, opens_contacts)
-        return np.concatenate([moved, moved[following]], axis=1)
+        following = self._following if distance <= 0 else self._following_past_contacts
+        moved = self.positions - distance * self._moves(distance, surely)
+        walls = np.concatenate([moved, moved[following]], axis=1)
+        if distance <= 0 or surely:
+            return walls
+        away = self.positions - moved
+        far = np.linalg.norm(away, axis=1)
+        most = np.where(self.is_contact, 0.0, _MITRE * distance)
+        tips = np.flatnonzero(far > most)
+        start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
+        return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
         """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
@@ -160,25 +177,20 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """The points after all walls have moved so far back, out of free space, or into it if negative.
-
-        Some points do not move back: contacts that no path may squeeze through, points between thin walls, and ends
-        of walls so short that they would turn around, as of an obstacle that is thinner than twice the distance.
-        """
+        """The points after all walls have moved so far back, out of free space, or into it if negative."""
         return self.positions - distance * self._moves(distance)
 
-    def stays(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Points that do not move so far back."""
-        return (self._moves(distance) == 0).all(axis=1)
+    def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
+        """Points at which a wall begins, of those that have moved so far back: contacts, and points that stay."""
+        return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
-    def has_end_that_stays(self, distance: float) -> Bool[np.ndarray, "walls"]:
-        """Walls of which an end does not move so far back."""
-        stays = self.stays(distance)
-        return stays | stays[self._following]
+    def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
+        """How far points move back, in distances. A wall that is a point moves with those beside it.
 
-    def _moves(self, distance: float, opens_contacts: bool = False) -> Float[np.ndarray, "points 2"]:
-        """How far points move back, in distances. A wall that is a point moves with those beside it."""
-        following = self._following_past_contacts if opens_contacts else self._following
+        Some points do not move back, unless surely: points between thin walls, and ends of walls so short that they
+        would turn around, as of an obstacle that is thinner than twice the distance.
+        """
+        following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
         has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
         normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
@@ -186,16 +198,16 @@ class Outline:
         before[following] = normal
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
-        most = np.full_like(length, _MITRE)
-        if opens_contacts:  # as far as the sharpest tip needs, but no more than a part of the walls beside it
-            long = np.linalg.norm(onward, axis=1)
-            short = np.minimum(long, long[np.argsort(following)])[:, None]
-            most = np.maximum(_MITRE, short / (4 * distance))
-        mitre *= np.minimum(1, most / np.maximum(length, 1e-12))
-        if distance <= 0 or opens_contacts:
+        if distance <= 0:
+            return mitre * np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+        # As far as the sharpest tip needs, but no more than a part of the walls beside it.
+        long = np.linalg.norm(onward, axis=1)
+        short = np.minimum(long, long[np.argsort(following)])[:, None]
+        mitre *= np.minimum(1, np.maximum(_MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
+        if surely:
             return mitre
         is_tip = (normal * before).sum(axis=1) < _SHARP  # which recedes along itself, within its obstacle
-        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip)] = 0.0
+        mitre[self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
         mitre[turned] = mitre[following[turned]] = 0.0
