@@ -72,7 +72,7 @@ def outline_of(
 def distinct_lattice_points(
     x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Int[np.ndarray, "n 2"]:
-    """Round points to integers, those that would share a place with another point to a free place beside it.
+    """Round points to integers, those that would share a place with another point to the next place on their side.
 
     Only ends of an edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
     """
@@ -81,14 +81,13 @@ def distinct_lattice_points(
     graph = coo_array((np.ones(len(short)), short.T), shape=(num, num))
     _, member, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     x, points = x[member], points[member]
-    _, first = np.unique(points, axis=0, return_index=True)
-    if len(first) < len(points):
-        taken = set(map(tuple, points[first].tolist()))
-        for i in np.setdiff1d(np.arange(len(points)), first):
-            sites = points[i] + np.stack(np.divmod(np.arange(9), 3), axis=1) - 1
-            nearest = sites[np.argsort(np.linalg.norm(sites - x[i], axis=1), kind="stable")].tolist()
-            points[i] = next((site for site in nearest if tuple(site) not in taken), points[i])
-            taken.add(tuple(points[i].tolist()))
+    _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    taken, around = set(map(tuple, points[first].tolist())), np.delete(np.stack(np.divmod(np.arange(9), 3)).T - 1, 4, 0)
+    for i in np.setdiff1d(np.arange(len(points)), first):
+        away = around @ (x[i] - x[first[place.ravel()[i]]]) / np.linalg.norm(around, axis=1)
+        sites = map(tuple, (points[i] + around[np.argsort(-away)]).tolist())
+        points[i] = site = next((site for site in sites if site not in taken), tuple(points[i]))
+        taken.add(site)
     return points[group]
 
 

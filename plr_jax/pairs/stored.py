@@ -194,8 +194,16 @@ class Outline:
         onward = self.positions[following] - self.positions
         has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
         normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
-        before = np.empty_like(normal)
+        before, comes_from = np.empty_like(normal), np.argsort(following)
         before[following] = normal
+        # A wall that is a point has the normal of the next wall, and of the one before.
+        for _ in range(len(self.points)):
+            is_open = ~has_length[:, 0] & (normal == 0).all(axis=1)
+            is_open_before = ~has_length[comes_from, 0] & (before == 0).all(axis=1)
+            if not (is_open.any() or is_open_before.any()):
+                break
+            normal[is_open] = normal[following[is_open]]
+            before[is_open_before] = before[comes_from[is_open_before]]
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         if distance <= 0:
