@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import left_normal, pseudo_angle
+from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
@@ -100,14 +100,22 @@ class Outline:
         following[before[order]] = at[order[np.where(is_last, first, np.arange(len(at)) + 1)]]
         return following
 
+    def _beside(
+        self, following: Int[np.ndarray, "points"]
+    ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
+        """The walls that arrive at each point and leave it, as vectors; walls that are points are passed over."""
+        leaving, comes_from = self.points[following] - self.points, np.argsort(following)
+        arriving = leaving[comes_from]
+        for walls, beyond in ((leaving, following), (arriving, comes_from)):
+            while len(flat := np.flatnonzero(~walls.any(axis=1) & walls[beyond].any(axis=1))):
+                walls[flat] = walls[beyond[flat]]
+        return arriving, leaving
+
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
         """Points that stand out into the free space on their side."""
-        before, after = (
-            self.points - self.points[np.argsort(self._following)],
-            self.points[self._following] - self.points,
-        )
-        return before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]
+        (ax, ay), (bx, by) = (walls.T for walls in self._beside(self._following))
+        return ax * by < ay * bx
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are in free space."""
@@ -192,19 +200,13 @@ class Outline:
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
-        has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
-        normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
-        before, comes_from = np.empty_like(normal), np.argsort(following)
-        before[following] = normal
-        # A wall that is a point has the normal of the next wall, and of the one before.
-        for _ in range(len(self.points)):
-            is_open = ~has_length[:, 0] & (normal == 0).all(axis=1)
-            is_open_before = ~has_length[comes_from, 0] & (before == 0).all(axis=1)
-            if not (is_open.any() or is_open_before.any()):
-                break
-            normal[is_open] = normal[following[is_open]]
-            before[is_open_before] = before[comes_from[is_open_before]]
-        mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
+        is_any = [walls.any(axis=1, keepdims=True) for walls in (beside := self._beside(following))]
+        before, normal = (
+            np.where(is_wall, left_normal(np.where(is_wall, walls, 1)), 0.0)
+            for is_wall, walls in zip(is_any, beside, strict=True)
+        )
+        cosine, sine = (normal * before).sum(axis=1), cross_product(before, normal)
+        mitre = (normal + before) / np.maximum(1 + cosine, 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         if distance <= 0:
             return mitre * np.minimum(1, _MITRE / np.maximum(length, 1e-12))
@@ -214,7 +216,7 @@ class Outline:
         mitre *= np.minimum(1, np.maximum(_MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
         if surely:
             return mitre
-        is_tip = (normal * before).sum(axis=1) < _SHARP  # which recedes along itself, within its obstacle
+        is_tip = (cosine < _SHARP) & (sine < 0)  # which recedes along itself, within its obstacle
         mitre[self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
