@@ -200,11 +200,7 @@ class Outline:
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
-        is_any = [walls.any(axis=1, keepdims=True) for walls in (beside := self._beside(following))]
-        before, normal = (
-            np.where(is_wall, left_normal(np.where(is_wall, walls, 1)), 0.0)
-            for is_wall, walls in zip(is_any, beside, strict=True)
-        )
+        before, normal = map(_normal_of, self._beside(following))
         cosine, sine = (normal * before).sum(axis=1), cross_product(before, normal)
         mitre = (normal + before) / np.maximum(1 + cosine, 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
@@ -231,6 +227,12 @@ class Outline:
         body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
         for along in self.points.T:
             body.write_signed(np.diff(along, prepend=0))
+
+
+def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Unit normals of walls, to the left; zero of walls that are points."""
+    is_wall = walls.any(axis=1, keepdims=True)
+    return np.where(is_wall, left_normal(np.where(is_wall, walls, 1.0)), 0.0)
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
