@@ -58,6 +58,13 @@ def _is_in(sector: Sector, v: Vector) -> bool:
     return (after and before) if turn > 0 else (after or before) if turn < 0 else after
 
 
+def _middle(u: Vector, v: Vector) -> Vector:
+    """A direction between two, counterclockwise from the first one."""
+    turn = _cross(u, v)
+    middle = (-u[1], u[0]) if turn == 0 else (u[0] + v[0], u[1] + v[1])
+    return (-middle[0], -middle[1]) if turn < 0 else middle
+
+
 def _compare(u: Vector, v: Vector) -> int:
     """Compare directions counterclockwise from the positive x axis on; negative if ``u`` comes first."""
     half = [w[1] < 0 or (w[1] == 0 and w[0] < 0) for w in (u, v)]
@@ -121,10 +128,7 @@ class ExactPlane:
             return [] if self._is_solid(x) else [None]
         free: list[tuple[Vector, Vector]] = []
         for u, v in zip(rays, rays[1:] + rays[:1], strict=True):
-            turn = _cross(u, v)
-            middle = (-u[1], u[0]) if turn == 0 else (u[0] + v[0], u[1] + v[1])
-            if turn < 0:
-                middle = -middle[0], -middle[1]
+            middle = _middle(u, v)
             if not self._is_solid(self._just_beside(x, middle)):
                 free.append((u, v))
         return list(free)
@@ -202,8 +206,11 @@ class ExactPlane:
         reached = [[length[number[x, i]] for i in range(len(self.sectors[x])) if (x, i) in number] for x in ends]
         return np.array([min(each, default=np.inf) for each in reached])
 
-    def near(self, x: Any, radius: float) -> list[tuple[Fraction, ...]]:
-        """Return the ends and nearest points of walls within a radius, which may lie across a wall or contact."""
+    def near(self, x: Any, radius: float, *, in_sectors: bool = False) -> list[tuple[Fraction, ...]]:
+        """Return the ends and nearest points of walls within a radius, which may lie across a wall or contact.
+
+        ``in_sectors`` adds a point inside each sector of a contact, which may be far from the other sectors.
+        """
         x, found = as_exact(x), []
         place = as_floats([x])[0]
         for (a, b), (start, end) in zip(self.edges, self._ends, strict=True):
@@ -213,6 +220,13 @@ class ExactPlane:
                 beside = np.hypot(*(np.stack([start, end]) - place).T) <= radius
                 shares = {Fraction(float(share)), *(Fraction(i) for i in np.flatnonzero(beside).tolist())}
                 found += [tuple(p + s * (q - p) for p, q in zip(*ends, strict=True)) for s in shares]
+        for at in {as_exact(each) for each in found if in_sectors}:
+            sectors = self.sectors_at(at)
+            for u, v in sectors if len(sectors) > 1 else []:
+                middle = _middle(u, v)
+                scale = Fraction(radius / 2 / float(np.hypot(*map(float, middle))))
+                inside = self._just_beside(at, (middle[0] * scale, middle[1] * scale))
+                found.append((Fraction(inside[0], inside[2]), Fraction(inside[1], inside[2])))
         return found
 
     def _placed(self, points: Iterable[Sequence[Any]]) -> list[Point]:

@@ -167,21 +167,31 @@ class Judge:
         """The plane after rounding by the workspace."""
         return ExactPlane(self.boundary)
 
-    def interval(self, plane: ExactPlane, x: Any, y: Any, radius: float) -> tuple[float, float]:
+    def interval(
+        self, plane: ExactPlane, x: Any, y: Any, radius: float, in_sectors: bool = False
+    ) -> tuple[float, float]:
         """Return the least and largest distance between points within a radius of both ends."""
-        ends = [y, *plane.near(y, radius)]
-        values = np.concatenate([plane.distances(each, ends) for each in [x, *plane.near(x, radius)]])
+        starts, ends = ([each, *plane.near(each, radius, in_sectors=in_sectors)] for each in (x, y))
+        values = np.concatenate([plane.distances(each, ends) for each in starts])
         return float(values.min()), float(values.max())
 
     def values(
-        self, name: str, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, slack: float, radius: float
+        self,
+        name: str,
+        goal: Any,
+        x: np.ndarray,
+        got: np.ndarray,
+        exact: np.ndarray,
+        slack: float,
+        radius: float,
+        in_sectors: bool = False,
     ):
-        """Count wrong values."""
+        """Count wrong values; with ``in_sectors``, the values of all sectors beside a contact are right."""
         self.counts[f"{name}: asked"] += len(x)
         with np.errstate(invalid="ignore"):
             doubtful = ~((got == exact) | (np.abs(got - exact) <= slack))
         for i in np.flatnonzero(doubtful):
-            allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
+            allowed = [self.interval(plane, goal, x[i], radius, in_sectors) for plane in (self.given, self.rounded)]
             if any(lo - slack <= got[i] <= hi + slack for lo, hi in allowed):
                 self.counts[f"{name}: within the tolerance"] += 1
             else:
@@ -193,7 +203,7 @@ class Judge:
         may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
         may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)
         self.counts["pairs: too short, where 32 bits do not resolve"] += int((may_lack & (got < exact - slack)).sum())
-        self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius)
+        self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius, True)
 
     def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
         """Return whether two walls, or both walls of a thin tip, are within the radius."""

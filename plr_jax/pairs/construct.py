@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary
@@ -63,8 +65,31 @@ def outline_of(
             first.append(len(vertex))
     index = np.array(vertex)
     step = lattice_step(boundary.vertices - origin, width, tolerance)
-    points = np.rint((boundary.vertices[index] - origin) / step).astype(np.int64)
+    points = distinct_lattice_points((boundary.vertices - origin) / step, edges)[index]
     return Outline(origin, step, points, np.array(first), may_squeeze), index
+
+
+def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
+    """Round points to integers, those that would share a place with another point to the next place on their side.
+
+    Only ends of an edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
+    """
+    points, num = np.rint(x).astype(np.int64), len(x)
+    short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
+    graph = coo_array((np.ones(len(short)), short.T), shape=(num, num))
+    _, member, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
+    x, points = x[member], points[member]
+    _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    taken, around = (
+        set(map(tuple, points[first].tolist())),
+        np.delete(np.stack(np.divmod(np.arange(9), 3)).T - 1, 4, 0),
+    )
+    for i in np.setdiff1d(np.arange(len(points)), first):
+        away = around @ (x[i] - x[first[place.ravel()[i]]]) / np.linalg.norm(around, axis=1)
+        sites = map(tuple, (points[i] + around[np.argsort(-away)]).tolist())
+        points[i] = site = next((site for site in sites if site not in taken), tuple(points[i]))
+        taken.add(site)
+    return points[group]
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
@@ -72,8 +97,10 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= _FINEST * width)])[::-1]:
-        if np.abs(points - step * np.rint(points / step)).max(initial=0.0) <= tolerance:
-            return float(step)
+        steps_away = np.rint(points / step)
+        if np.abs(points - step * steps_away).max(initial=0.0) <= tolerance:
+            if len(np.unique(steps_away, axis=0)) == len(points):
+                return float(step)
     return float(2.0 ** np.floor(np.log2(_FINEST * width)))
 
 
@@ -280,7 +307,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
     """Walls of an outline that are not surely inside of obstacles after they move back, where contacts open."""
-    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, opens_contacts=True).reshape(-1, 2, 2))
+    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
 

@@ -11,18 +11,19 @@ function readOutline(body, origin) {
     const count = first[rings], points = [0, 1].map(() => { let at = 0; return body.signed(count).map(gap => at += gap); });
     const following = Int32Array.from(points[0], (_, i) => i + 1);
     for (let ring = 0; ring < rings; ring++) following[first[ring + 1] - 1] = first[ring];
-    const places = new Map(), name = i => `${points[0][i]} ${points[1][i]}`;
-    points[0].forEach((_, i) => places.set(name(i), [...places.get(name(i)) || [], i]));
-    const isContact = Array.from(points[0], (_, i) => !maySqueeze && places.get(name(i)).length > 1);
+    const before = new Int32Array(count), pastContacts = following.slice(), places = new Map();
+    following.forEach((next, i) => before[next] = i);
+    // A contact is a place at which several walls begin, where no path may squeeze through.
+    const hasLength = i => points.some(along => along[following[i]] !== along[i]), name = i => `${points[0][i]} ${points[1][i]}`;
+    if (!maySqueeze) points[0].forEach((_, i) => hasLength(i) && places.set(name(i), [...places.get(name(i)) || [], i]));
+    const isContact = Array.from(points[0], (_, i) => (places.get(name(i)) || []).length > 1);
     // At a contact each wall goes on around its own obstacle instead: the next one counterclockwise.
     const angle = i => {
         const [dx, dy] = points.map(along => along[following[i]] - along[i]), length = Math.abs(dx) + Math.abs(dy);
         const slant = length ? dx / length : 1;
         return dy >= 0 ? 1 - slant : 3 + slant;
     };
-    const before = new Int32Array(count), pastContacts = following.slice();
-    following.forEach((next, i) => before[next] = i);
-    for (const all of places.values()) if (!maySqueeze && all.length > 1) {
+    for (const all of places.values()) if (all.length > 1) {
         const order = all.map(i => [angle(i), i]).sort(([a], [b]) => a - b);
         order.forEach(([, i], k) => pastContacts[before[i]] = order[(k + 1) % order.length][1]);
     }
@@ -31,29 +32,34 @@ function readOutline(body, origin) {
 }
 
 // How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
-function moves({ points, following, isContact, isThin, x, y }, distance) {
-    const count = x.length, nx = new Float64Array(count), ny = new Float64Array(count), before = new Int32Array(count);
-    const lengths = new Float64Array(count), stays = [];
+// Where obstacles are thin, they stay, unless they move surely.
+function moves({ points, following: ring, pastContacts, isThin, x, y }, distance, surely) {
+    const count = x.length, following = distance > 0 ? pastContacts : ring, before = new Int32Array(count);
+    const mx = new Float64Array(count), my = new Float64Array(count), stays = [], turned = [];
+    following.forEach((next, i) => before[next] = i);
+    // Walls that are points are passed over.
+    const normal = (i, along) => {
+        for (let steps = 0; steps < count; steps++, i = along[i]) {
+            const [dx, dy] = points.map(at => at[following[i]] - at[i]), length = Math.sqrt(dx * dx + dy * dy);
+            if (length) return [-dy / length, dx / length];
+        }
+        return [0, 0];
+    };
+    const length = i => { const dx = x[following[i]] - x[i], dy = y[following[i]] - y[i]; return Math.sqrt(dx * dx + dy * dy); };
     for (let i = 0; i < count; i++) {
-        const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i], length = Math.sqrt(dx * dx + dy * dy);
-        before[next] = i;
-        lengths[i] = length;
-        if (points[0][i] !== points[0][next] || points[1][i] !== points[1][next]) { nx[i] = -dy / length; ny[i] = dx / length; }
-    }
-    const mx = new Float64Array(count), my = new Float64Array(count), turned = [];
-    for (let i = 0; i < count; i++) {
-        const bx = nx[before[i]], by = ny[before[i]], along = Math.max(1 + (nx[i] * bx + ny[i] * by), 1e-12);
-        mx[i] = (nx[i] + bx) / along;
-        my[i] = (ny[i] + by) / along;
-        // Where contacts open, as far as the sharpest tip needs, but no more than a part of the walls beside it.
-        const most = isContact ? 4 : Math.max(4, Math.min(lengths[i], lengths[before[i]]) / (4 * distance));
-        const isTip = nx[i] * bx + ny[i] * by < -0.5; // which recedes along itself, within its obstacle
-        if (isContact && (isContact[i] || isThin.has(i) && isThin.has(before[i]) && !isTip)) stays.push(i);
+        const [nx, ny] = normal(i, following), [bx, by] = normal(before[i], before), cosine = nx * bx + ny * by;
+        const along = Math.max(1 + cosine, 1e-12);
+        mx[i] = (nx + bx) / along;
+        my[i] = (ny + by) / along;
+        // As far as the sharpest tip needs, but no more than a part of the walls beside it.
+        const most = distance > 0 ? Math.max(4, Math.min(length(i), length(before[i])) / (4 * distance)) : 4;
+        const isTip = cosine < -0.5 && bx * ny - by * nx < 0; // which recedes along itself, within its obstacle
+        if (isThin.has(i) && isThin.has(before[i]) && !isTip) stays.push(i);
         const shorter = Math.min(1, most / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
         mx[i] *= shorter;
         my[i] *= shorter;
     }
-    if (!isContact || distance <= 0) return [mx, my];
+    if (surely || distance <= 0) return [mx, my];
     stays.forEach(i => mx[i] = my[i] = 0);
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i];
@@ -63,9 +69,9 @@ function moves({ points, following, isContact, isThin, x, y }, distance) {
     return [mx, my];
 }
 
-function movedPoints(outline, distance) {
+function movedPoints(outline, distance, surely = false) {
     const at = [outline.x, outline.y];
-    return moves(outline, distance).map((along, axis) => along.map((move, i) => at[axis][i] - distance * move));
+    return moves(outline, distance, surely).map((along, axis) => along.map((move, i) => at[axis][i] - distance * move));
 }
 
 // The corners that each leaf lists.
@@ -122,19 +128,37 @@ function readPairs({ domain, layers }, fileBytes) {
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
     const isThin = outline.isThin = new Set(thin);
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
-    const recede = RECEDING * width, [mx, my] = moves(outline, recede), stays = Array.from(mx, (move, i) => move === 0 && my[i] === 0);
-    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => stays[i] ? nudged[axis][i] : at[axis][k]));
+    const recede = RECEDING * width, [mx, my] = moves(outline, recede, false);
+    const endsSight = Array.from(mx, (move, i) => outline.isContact[i] || move === 0 && my[i] === 0);
+    const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => endsSight[i] ? nudged[axis][i] : at[axis][k]));
     const free = proud.map(along => Float64Array.from(corner, i => along[i]));
     const wall = (ax, ay, bx, by) => {
         const ex = f(bx - ax), ey = f(by - ay);
         return [ax, ay, bx, by, ex, ey, f(f(ex * ay) - f(ey * ax))];
     };
-    const wallsOf = (distance, outline, isKept) => {
-        const [wx, wy] = movedPoints(outline, distance).map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        return Array.from(wx.keys()).filter(isKept).flatMap(i => {
-            const j = outline.following[i];
-            return wall(wx[i], wy[i], wx[j], wy[j]);
+    const wallsOf = (distance, surely) => {
+        const moved = movedPoints(outline, distance, surely), following = distance > 0 ? outline.pastContacts : outline.following;
+        const [wx, wy] = moved.map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
+        const walls = Array.from(wx.keys()).flatMap(i => {
+            if (surely && isThin.has(i)) return [];
+            const j = following[i], { x, y } = outline, at = [wx[i], wy[i], wx[j], wy[j]], [stays, stay] = [i, j].map(k => moved[0][k] === x[k] && moved[1][k] === y[k]);
+            const dx = x[j] - x[i], dy = y[j] - y[i], length = Math.sqrt(dx * dx + dy * dy);
+            if (surely || distance <= 0 || stays === stay || length <= 8 * distance) return wall(...at);
+            // A wall of which one end stays moves back from a little beside that end on.
+            const u = [dx / length, dy / length], sign = stays ? 1 : -1, from = stays ? i : j, aside = [u[1], -u[0]];
+            const foot = [0, 1].map(axis => f(moved[axis][from] + distance * (sign * u[axis] + aside[axis]) - middle[axis]));
+            return [...wall(at[0], at[1], ...foot), ...wall(...foot, at[2], at[3])];
         });
+        if (distance <= 0 || surely) return walls;
+        // There and back, from contacts, and from where a tip may be cut off, to where the walls meet.
+        for (const i of wx.keys()) {
+            const { x, y } = outline, away = [x[i] - moved[0][i], y[i] - moved[1][i]];
+            const far = Math.sqrt(away[0] * away[0] + away[1] * away[1]), most = outline.isContact[i] ? 0 : 4 * distance;
+            if (!(far > most)) continue;
+            const [sx, sy] = [x, y].map((at, axis) => f((at[i] - most / far * away[axis]) - middle[axis]));
+            walls.push(...wall(sx, sy, wx[i], wy[i]), ...wall(wx[i], wy[i], sx, sy));
+        }
+        return walls;
     };
     const aroundThinWalls = [0, 1, 2, 3].flatMap(k => [...thin].flatMap(i => {
         const { x, y, following } = outline, dx = x[following[i]] - x[i], dy = y[following[i]] - y[i];
@@ -147,8 +171,6 @@ function readPairs({ domain, layers }, fileBytes) {
         });
         return wall(...corner(k), ...corner((k + 1) % 4));
     }));
-    const opened = { ...outline, following: outline.pastContacts, isContact: null };
-    const behind = i => (stays[i] || stays[outline.following[i]]) && !isThin.has(i);
     const scene = ([cx, cy], walls, isCertain) => (
         { walls: Float32Array.from(walls), isCertain, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) });
     const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
@@ -161,9 +183,9 @@ function readPairs({ domain, layers }, fileBytes) {
     return {
         ...frameOf(...[domain.lo, domain.hi].map(end => end.map((along, axis) => along - middle[axis]))),
         ...tree, middle, lists, neighbors, corners: count,
-        seen: scene(seen, [...wallsOf(recede, outline, () => true), ...wallsOf(recede, opened, behind)], false),
-        sure: scene(seen, wallsOf(recede, opened, i => !isThin.has(i)), false),
-        free: scene(free, [...wallsOf(-recede, outline, () => true), ...aroundThinWalls], true), outline,
+        seen: scene(seen, wallsOf(recede, false), false),
+        sure: scene(seen, wallsOf(recede, true), false),
+        free: scene(free, [...wallsOf(-recede, false), ...aroundThinWalls], true), outline,
         less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
     };
 }

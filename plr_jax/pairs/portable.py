@@ -108,15 +108,12 @@ class Scene:
         else:
             # Where walls stay corners move before the walls, or rounding would hide the corners.
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
-            corners = np.where(outline.stays(receding)[stored.corner, None], before, stored.points)
-        walls = outline.moved_walls(-receding if is_certain else receding)
+            corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
+        walls = outline.moved_walls(-receding if is_certain else receding, surely=hides_surely)
         if is_certain:
             walls = np.concatenate([walls, outline.around_thin_walls(receding)])
-        else:
-            apart = outline.moved_walls(receding, opens_contacts=True)
-            # A point where a wall stays is as much inside as outside of it: a wall behind tells lines that go in.
-            behind = apart[outline.has_end_that_stays(receding) & ~outline.is_thin]
-            walls = apart[~outline.is_thin] if hides_surely else np.concatenate([walls, behind])
+        elif hides_surely:
+            walls = walls[~outline.is_thin]
         walls -= np.tile(middle, 2)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)

@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import left_normal, pseudo_angle
+from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle, turned_left
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
@@ -78,15 +78,19 @@ class Outline:
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
-    def _is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Contacts of free space that no path may squeeze through."""
-        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
-        return (count[index] > 1) & (not self.may_squeeze)
+    def is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Contacts of free space that no path may squeeze through: places at which several walls begin."""
+        _, index = np.unique(self.points, axis=0, return_inverse=True)
+        return (np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1) & (not self.may_squeeze)
+
+    @cached_property
+    def _has_length(self) -> Bool[np.ndarray, "walls"]:
+        return (self.points[self._following] != self.points).any(axis=1)
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
         """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
-        following, at = self._following.copy(), np.flatnonzero(self._is_contact)
+        following, at = self._following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
         _, place = np.unique(self.points[at], axis=0, return_inverse=True)
@@ -96,14 +100,22 @@ class Outline:
         following[before[order]] = at[order[np.where(is_last, first, np.arange(len(at)) + 1)]]
         return following
 
+    def _beside(
+        self, following: Int[np.ndarray, "points"]
+    ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
+        """The walls that arrive at each point and leave it, as vectors; walls that are points are passed over."""
+        leaving, comes_from = self.points[following] - self.points, np.argsort(following)
+        arriving = leaving[comes_from]
+        for walls, beyond in ((leaving, following), (arriving, comes_from)):
+            while len(flat := np.flatnonzero(~walls.any(axis=1) & walls[beyond].any(axis=1))):
+                walls[flat] = walls[beyond[flat]]
+        return arriving, leaving
+
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
         """Points that stand out into the free space on their side."""
-        before, after = (
-            self.points - self.points[np.argsort(self._following)],
-            self.points[self._following] - self.points,
-        )
-        return before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]
+        (ax, ay), (bx, by) = (walls.T for walls in self._beside(self._following))
+        return ax * by < ay * bx
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are in free space."""
@@ -140,14 +152,39 @@ class Outline:
             is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
-    def moved_walls(self, distance: float, *, opens_contacts: bool = False) -> Float[np.ndarray, "walls 4"]:
+    def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative.
 
-        If contacts open, obstacles that touch recede from one another there.
+        Walls that move back leave contacts open, and cut off tips. So further walls, there and back, go from the
+        contact, or from where a tip may be cut off, to where the walls meet.
+
+        Args:
+            distance: How far they move.
+            surely: Whether all walls move back, however thin obstacles are, and without the further walls.
         """
-        following = self._following_past_contacts if opens_contacts else self._following
-        moved = self.positions - distance * self._moves(distance, opens_contacts)
-        return np.concatenate([moved, moved[following]], axis=1)
+        following = self._following if distance <= 0 else self._following_past_contacts
+        moved = self.positions - distance * self._moves(distance, surely)
+        walls = np.concatenate([moved, moved[following]], axis=1)
+        if distance <= 0 or surely:
+            return walls
+        # 1. A wall of which one end stays moves back from a little beside that end on.
+        along = self.positions[following] - self.positions
+        length = np.linalg.norm(along, axis=1)
+        stays, parts = (moved == self.positions).all(axis=1), [walls]
+        for is_end, sign in ((False, 1), (True, -1)):
+            rows = np.flatnonzero((stays != is_end) & (stays[following] == is_end) & (length > 8 * distance))
+            u, end = along[rows] / length[rows, None], slice(2, 4) if is_end else slice(0, 2)
+            foot, other = walls[rows, end] + distance * (sign * u - turned_left(u)), walls[rows]
+            other[:, 2 - end.start : 4 - end.start] = walls[rows, end] = foot
+            parts.append(other)
+        # 2. Walls there and back.
+        away = self.positions - moved
+        far = np.linalg.norm(away, axis=1)
+        most = np.where(self.is_contact, 0.0, _MITRE * distance)
+        tips = np.flatnonzero(far > most)
+        start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
+        parts += [np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])]
+        return np.concatenate(parts)
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
         """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
@@ -160,42 +197,35 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """The points after all walls have moved so far back, out of free space, or into it if negative.
-
-        Some points do not move back: contacts that no path may squeeze through, points between thin walls, and ends
-        of walls so short that they would turn around, as of an obstacle that is thinner than twice the distance.
-        """
+        """The points after all walls have moved so far back, out of free space, or into it if negative."""
         return self.positions - distance * self._moves(distance)
 
-    def stays(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Points that do not move so far back."""
-        return (self._moves(distance) == 0).all(axis=1)
+    def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
+        """Points at which a wall begins, of those that have moved so far back: contacts, and points that stay."""
+        return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
-    def has_end_that_stays(self, distance: float) -> Bool[np.ndarray, "walls"]:
-        """Walls of which an end does not move so far back."""
-        stays = self.stays(distance)
-        return stays | stays[self._following]
+    def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
+        """How far points move back, in distances. A wall that is a point moves with those beside it.
 
-    def _moves(self, distance: float, opens_contacts: bool = False) -> Float[np.ndarray, "points 2"]:
-        """How far points move back, in distances. A wall that is a point moves with those beside it."""
-        following = self._following_past_contacts if opens_contacts else self._following
+        Some points do not move back, unless surely: points between thin walls, and ends of walls so short that they
+        would turn around, as of an obstacle that is thinner than twice the distance.
+        """
+        following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
-        has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
-        normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
-        before = np.empty_like(normal)
-        before[following] = normal
-        mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
+        before, normal = map(_normal_of, self._beside(following))
+        cosine, sine = (normal * before).sum(axis=1), cross_product(before, normal)
+        mitre = (normal + before) / np.maximum(1 + cosine, 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
-        most = np.full_like(length, _MITRE)
-        if opens_contacts:  # as far as the sharpest tip needs, but no more than a part of the walls beside it
-            long = np.linalg.norm(onward, axis=1)
-            short = np.minimum(long, long[np.argsort(following)])[:, None]
-            most = np.maximum(_MITRE, short / (4 * distance))
-        mitre *= np.minimum(1, most / np.maximum(length, 1e-12))
-        if distance <= 0 or opens_contacts:
+        if distance <= 0:
+            return mitre * np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+        # As far as the sharpest tip needs, but no more than a part of the walls beside it.
+        long = np.linalg.norm(onward, axis=1)
+        short = np.minimum(long, long[np.argsort(following)])[:, None]
+        mitre *= np.minimum(1, np.maximum(_MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
+        if surely:
             return mitre
-        is_tip = (normal * before).sum(axis=1) < _SHARP  # which recedes along itself, within its obstacle
-        mitre[self._is_contact | (self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip)] = 0.0
+        is_tip = (cosine < _SHARP) & (sine < 0)  # which recedes along itself, within its obstacle
+        mitre[self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
         mitre[turned] = mitre[following[turned]] = 0.0
@@ -209,6 +239,12 @@ class Outline:
         body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
         for along in self.points.T:
             body.write_signed(np.diff(along, prepend=0))
+
+
+def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Unit normals of walls, to the left; zero of walls that are points."""
+    is_wall = walls.any(axis=1, keepdims=True)
+    return np.where(is_wall, left_normal(np.where(is_wall, walls, 1.0)), 0.0)
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:

@@ -223,3 +223,22 @@ def test_lines_past_a_contact_are_straight_and_bounds_hold_there():
         assert (lower <= 6 - x[:, 1]).all() and (6 - x[:, 1] <= upper).all()
         # From side to side nothing leads.
         assert np.isinf(answers((8, 5), (1, 5)))
+
+
+@pytest.mark.parametrize("gap", [0, 3e-9, 5e-8])
+def test_gaps_that_32_bits_do_not_resolve_are_open_and_contacts_are_not(gap):
+    """Tips of two triangles meet but for the gap: a path to the other side turns at a tip, or there is none."""
+    tips = [[(0, 0.3), (0.5, 0.5), (0, 0.7)], [(1, 0.3), (0.5 + gap, 0.5), (1, 0.7)]]
+    pairs = construct_pairs(Workspace(((0, 0), (1, 1)), tips), max_bytes=2**11)
+    expected = [2 * math.hypot(0.3, 0.3), 0.8] if gap else [math.inf, math.inf]
+    for answers in (pairs, pairs.numpy()):
+        np.testing.assert_allclose(answers([(0.2, 0.2), (0.5, 0.1)], [(0.2, 0.8), (0.5, 0.9)]), expected, rtol=1e-6)
+
+
+def test_lines_along_a_wall_do_not_pass_a_tip_that_touches_it():
+    """The tip parts free space. A line along the wall runs through the contact, from one part into the other."""
+    pairs = construct_pairs(Workspace(((0, 0), (8, 6)), [[(8, 3), (0, 2), (0, 5)]]), max_bytes=2**11)
+    x = np.array([(8, 3 + above) for above in (1e-3, 6e-3, 0.1, 3)])
+    for answers in (pairs, pairs.numpy()):
+        assert np.isinf(answers(x, (8, 4e-9))).all()
+        np.testing.assert_allclose(answers(x, x[:1]), x[:, 1] - 3.001, atol=1e-6)

@@ -55,19 +55,19 @@ def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
     found, _ = outline(Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze))
-    assert found.may_squeeze == squeeze
-    at_contact = (found.positions == 5).all(axis=1)
-    moved = found.moved_points(0.1)[at_contact]
-    assert at_contact.sum() == 2 and (np.ptp(moved, axis=0).max() > 0.1) == squeeze
-    # Lower bounds take obstacles for apart: corners (5, 5) move into both.
-    ends = {tuple(end) for end in found.moved_walls(0.1, opens_contacts=True).reshape(-1, 2).round(9).tolist()}
-    assert {(4.9, 4.9), (5.1, 5.1)} <= ends
+    assert found.may_squeeze == squeeze and found.is_contact.sum() == (0 if squeeze else 2)
+    # Obstacles recede, and their corners (5, 5) move into both. Walls there and back from the contact part both sides.
+    walls = {tuple(wall) for wall in found.moved_walls(0.1).round(9).tolist()}
+    into = {(5.0, 5.0, corner, corner) for corner in (4.9, 5.1)}
+    assert (into <= walls) != squeeze and ({wall[2:] + wall[:2] for wall in into} <= walls) != squeeze
+    ends = {wall[:2] for wall in found.moved_walls(0.1, surely=True).round(9).tolist() for wall in [tuple(wall)]}
+    assert {(4.9, 4.9), (5.1, 5.1)} <= ends and (5.0, 5.0) not in ends
 
 
 def test_ends_of_thin_obstacles_stay_where_their_sides_would_change_places():
     found, _ = outline(Workspace(TEN, [box(5, 0, 5.25, 8)]))
-    assert sorted(found.positions[found.stays(0.2)].tolist()) == [[5, 8], [5.25, 8]]
-    assert not found.stays(0.1).any()
+    assert sorted(found.positions[found.ends_sight(0.2)].tolist()) == [[5, 8], [5.25, 8]]
+    assert not found.ends_sight(0.1).any()
 
 
 FIELDS = ("corner", "edges", "leaf", "listed", "rounding", "points")
