@@ -75,20 +75,18 @@ class BuildOptions:
             smooth and cone leaves ignore it.
         should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
-        split: Function from a ``CellFit`` to the axis along which to halve each cell: ``best_axis``, ``cyclic_axis``
-            or your own.
+        split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
         num_samples: Samples in each cell (center, inside and faces), at most 65,536. None: 192 for planes, 96 for
-            other leaves. Planes need at least ``dim + 1``, other leaves ``2**dim + 1``; take several times as many.
+            other leaves. At least ``dim + 1`` for planes, ``2**dim + 1`` for others; take several times as many.
         margin: Distance by which samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin
             averages out the noise of an oracle such as a roadmap.
-        weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1
-            everywhere.
+        weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
         executor: ``concurrent.futures.Executor`` (threads, processes, a cluster) that evaluates a slow distance
-            function on batches of 1,024 points. Processes need a picklable distance function. The PLR does not depend
-            on the number of workers. None: this process.
-        checkpoint: Path of a file that keeps all answers of the distance function, 8 bytes each. If the process is
-            killed, call ``construct`` again with the same arguments: only missing answers are computed. The file is
-            refused if the distance function answers differently at 256 test points. None: no file.
+            function on batches of 1,024 points. Processes need a picklable distance function. The PLR is the same
+            for any number of workers. None: this process.
+        checkpoint: Path of a file that keeps all answers of the distance function, 8 bytes each. After the process
+            was killed, call ``construct`` again with the same arguments: only missing answers are computed. The file
+            identifies the distance function by its answers at 256 points. None: no file.
 
     Raises:
         ValueError: If an option has a wrong type or is out of range.

@@ -48,10 +48,10 @@ def construct_many(
         oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
-    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    built together, which is faster. Their errors are about as small as with :func:`construct`, but the PLRs differ:
-    fewer partitions are tried, and a cell larger than about eight average leaves becomes a leaf only if one source
-    serves all of it. All other PLRs are built one by one with :func:`construct`.
+    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*, whose cones are built
+    together. Their errors are about as small as with :func:`construct`, but the PLRs differ: fewer partitions are
+    tried, and a cell larger than about eight average leaves becomes a leaf only if one source serves all of it. All
+    other PLRs are built one by one with :func:`construct`.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -63,11 +63,11 @@ def construct_many(
         tolerance: Error, in units of distance, up to which a cell is not split.
         certified: Whether to prove error bounds of each PLR, as for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, with two differences. The ``executor`` builds PLRs: batches of 64 members
-            of a family, or one PLR at a time. It may use threads, processes or a cluster, such as Dask's
-            ``Client.get_executor()``; if a worker dies, threads of this process build what is left. None: one thread
-            per core. The ``checkpoint`` stores whole PLRs. After the process was killed, a call with the same
-            arguments builds the missing PLRs, and the final file is the same, byte for byte.
+        options: As for :func:`construct`, with two differences. The ``executor`` (threads, processes, or a cluster
+            such as Dask's ``Client.get_executor()``) builds batches of 64 members of a family, or single PLRs; if a
+            worker dies, threads of this process build what is left. None: one thread per core. The ``checkpoint``
+            stores whole PLRs: a later call with the same arguments builds only missing ones, and the final file is
+            the same, byte for byte.
 
     Returns:
         The PLRs, in the order of ``oracles``. Query tables are made at the first query. After an interrupt (Ctrl-C),

@@ -69,7 +69,7 @@ class BuildInputs:
     """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        bounds: Proven bounds of each leaf; None: those of the certificate.
+        bounds: Proven bounds of each leaf; None: use the bounds of the certificate.
         node_costs: Costs of the nodes of the tree as leaves; None if unknown.
     """
 

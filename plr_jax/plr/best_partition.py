@@ -144,7 +144,7 @@ class SearchPruning(NamedTuple):
         margin: See :func:`expand`; ``inf`` keeps the search exact.
         attempts: Largest number of prices to try between a tree that fits and one that does not.
         full: Share of the limits at which a tree is large enough.
-        keeps_split_order: Whether the file stores the tree as found; else in the slower canonical form of
+        keeps_split_order: Whether files store the tree as split; else in the slower canonical form of
             :func:`tree_of`.
     """
 

@@ -1,8 +1,8 @@
 """Certificates: proven bounds of the distance minus the function that each leaf stores, and their file format.
 
 Bounds come from branch and bound. The bounds of a piece of a leaf hold for all of it, and the error at its center is
-attained. Pieces whose bounds are close to attained errors are finished; the others are halved, which tightens both.
-Where only a bound of the distance at a center is known, bounds may be less tight.
+attained. Pieces whose bounds are close to attained errors are finished; the others are halved, which tightens bounds
+and finds larger errors. Where only a bound of the distance at a center is known, bounds may be less tight.
 
 A file stores a certificate as bits, after the leaves:
 

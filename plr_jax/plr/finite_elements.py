@@ -49,12 +49,10 @@ class NodalSpace:
     Attributes:
         group: Group of each node; node ``leaf * 2**dim + corner`` is a corner of ``leaf``.
         hanging: Groups whose value is interpolated from a larger leaf.
-        host_leaf: The leaf on which each hanging group hangs.
-        host_position: Local coordinates of each hanging group in its host leaf, from 0 to 1 along each axis.
+        host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
         free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
         level: Exponent of two in the denominator of each free group's point, summed over the axes.
-        values: Matrix from the values of the free groups to the values of all nodes; 0 at nodes of unreachable
-            leaves.
+        values: Matrix from the values of free groups to the values of all nodes; 0 at nodes of unreachable leaves.
         prediction: Matrix that predicts each free group from coarser ones, as the mean of the two ends of an edge.
     """
 

@@ -340,7 +340,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
 def weights_of_fit(
     reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells k"]:
-    """Return the weights of a fit: those given, or ``reachable`` for cells whose weights are all zero."""
+    """Return the given weights, replaced by ``reachable`` in cells whose weights are all zero."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 

@@ -31,18 +31,17 @@ class LeafModel(ABC):
     """A kind of leaf, immutable and hashable, since compiled queries are cached by it.
 
     A leaf's function follows from its box and its *coefficients*; a first coefficient of ``inf`` makes the value
-    ``inf``. The *stored* form of all leaves is an object that only the model itself interprets: ``write`` puts it
-    into a file, ``read`` returns it. Queries read the *parameters* of a leaf.
+    ``inf``. Only the model interprets the *stored* form of all leaves, which ``write`` puts into a file and ``read``
+    returns. Queries read the *parameters* of a leaf.
 
     Attributes:
         name: Name for ``construct(leaf=...)``.
         num_samples: Default number of samples in a cell.
         least_bytes: Least number of bytes of a leaf in a file, a power of two that may be a fraction.
-        has_deep_trees: Whether small files may have deep trees, so that query tables need pages (see
+        has_deep_trees: Whether small files may have deep trees, whose query tables have pages (see
             ``plr/tables.py``).
-        is_cell_relative: Whether functions take local coordinates in the cell. The first ``dim`` parameters are then
-            the numbers of the cell: along each axis 1 is the domain, and ``2 i`` and ``2 i + 1`` are the halves of
-            ``i``.
+        is_cell_relative: Whether functions take local coordinates. The first ``dim`` parameters are then numbers of
+            the cell: along each axis 1 is the domain, and ``2 i`` and ``2 i + 1`` are the halves of ``i``.
     """
 
     name: str

@@ -178,9 +178,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round nonnegative values at leaf corners; results stay nonnegative, values at hanging corners are
-        ignored.
-        """
+        """Round nonnegative values at leaf corners to nonnegative ones; hanging corners are ignored."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()

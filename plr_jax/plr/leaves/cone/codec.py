@@ -16,7 +16,7 @@ The bits in a file:
     for every leaf, the rank of its source in a move-to-front list that starts in the order of the table:
       is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest, 1 bit each; then rank - 3 as codes
 
-Coordinates of sources, which are sorted by them:
+Coordinates of sources, sorted by the first axis, then the next:
 
     for every axis: the smallest, in steps from the domain's lower corner, a signed number
     along the first axis: differences of successive coordinates, as codes

@@ -38,7 +38,7 @@ from plr_jax.plr.tree import Cells, Rows, Tree, grown_domain, tree_of, tree_of_a
 # 1. Boxes and their best cones.
 
 _MOST_TRIED = 4
-"""Number of sources to try for a box: those that the largest parts of it use, judged by the centers of its pieces."""
+"""Number of sources to try for a box: the sources used by the centers of its largest pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
         some = visible.of_cells(several)
-        # Try the sources that the centers of a box's pieces use, those of the largest pieces first.
+        # Try the sources that the centers of a box's pieces use; sources of the largest pieces come first.
         count, area = len(visible.sources.points), areas(some.pieces)
         key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
         box, source = np.divmod(key, count)
@@ -201,7 +201,7 @@ def leaf_views(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "lea
 
 @dataclass(frozen=True, eq=False)
 class SourceOptions:
-    """Leaf boxes and the alternative sources of those that do not entirely see their best source.
+    """Leaf boxes, and alternative sources for boxes that do not entirely see their best source.
 
     Attributes:
         key: Level and index of each box, combined.

@@ -1,7 +1,7 @@
 """Update cones after a change of the map: keep leaves that still hold, and search for the others.
 
 A leaf holds if all distances in it have changed by one number. Its proven bounds tell which sources a shortest path
-from the leaf can go to first: those whose cones come down to the distance somewhere in the leaf. If all these paths
+from the leaf can go to first: sources whose cones come down to the distance somewhere in the leaf. If all such paths
 are intact and changed by one number, no distance increased by more. If no other source of the new map comes down as
 low, no distance increased by less.
 
@@ -92,8 +92,8 @@ class ConeLeaves:
             differ[((lo <= box[2]) & (hi >= box[0])).all(axis=1)] = True
         leaf, triangle = self._leaves_meeting(changed.triangles, np.flatnonzero(~is_uniform))
         differ[leaf[changed.was_cut_off[triangle]]] = True
-        # 2. Collect changes: those of triangles that changed by one number, and elsewhere those of the sources before
-        # that paths may go to first.
+        # 2. Collect changes: of triangles that changed by one number; elsewhere, of the old sources that paths may go
+        # to first.
         of_uniform = self._leaves_meeting(changed.triangles, np.flatnonzero(is_uniform & (changed.change != 0)))
         take(of_uniform[0], changed.change[of_uniform[1]])
         of, pairs = self._competing_sources(differ, leaf, triangle, changed.before, before, np.zeros(len(source)))
