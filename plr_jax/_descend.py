@@ -149,7 +149,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
         raise ValueError(
-            f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or into the bounds."
+            f"The goal must be in free space, got {goal.tolist()}: move it out of the obstacle or into the bounds."
         )
     places = find_corners(workspace)[0].without(goal).with_goal(goal)
     points = places.points

@@ -69,10 +69,8 @@ _MOST_EXPANSIONS = 1000  # of the search that leaves a local minimum
 _CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
 _KNOWN = 1e-3  # estimates with a smaller relative error are trusted to find the best place
 _GAIN = 1e-6  # least saving of a change, as a share of the cost of the segments
-_WIDEST_SHIFT, _NUM_SHIFTS = (
-    1 / 32,
-    8,
-)  # widest shift, as a share of the domain, and number of shifts, each half as wide
+_WIDEST_SHIFT = 1 / 32  # of a node, as a share of the domain
+_NUM_SHIFTS = 8  # each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
@@ -163,7 +161,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
-        raise ValueError(f"The goal {goal.tolist()} is not a free configuration of the space.")
+        raise ValueError(f"The goal must be a free configuration of the space, got {goal.tolist()}.")
     is_free = costs.space.is_free(starts)
     nodes, onward, nodes_of_starts = _Lookahead(field, costs, goal).follow(starts[is_free])
     onward = _skip_nodes(costs, nodes, onward)
@@ -181,7 +179,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """The steps that follow a field to a goal."""
+    """Lookahead from many starts: finite steps that follow a field to its goal."""
 
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space

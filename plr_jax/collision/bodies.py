@@ -39,7 +39,7 @@ class MovingBodies(NamedTuple):
 
     @property
     def num_corners(self) -> int:
-        """Number of corners of each body, or the length of its size."""
+        """Number of vertices if ``size`` has shape ``(2, vertices, n)``, else the length of ``size``."""
         return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":

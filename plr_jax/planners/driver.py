@@ -36,7 +36,7 @@ from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.robots.robot import Robot, between
 
 _COARSEST_FIRST = 1 / 16  # coarsest first step, as a share of the bounds' longer side
-_FINEST_FIRST = 1 / 512  # finest first step, likewise a share, as the three steps below
+_FINEST_FIRST = 1 / 512  # finest first step, as a share; the three steps below are shares as well
 _POINT_STEP = 1 / 32  # first step for points
 _FINEST = 1 / 2048  # finest step that is tried
 _COARSEST = 1 / 4  # coarsest step, for problems that otherwise exceed the memory or the motion tests
@@ -107,7 +107,7 @@ def bl_plan(
         multi-agent path finding via large neighborhood search", 2021.
     """
     if isinstance(heuristic, BLOptions):
-        raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
+        raise ValueError("heuristic must not be BLOptions(...): call bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:
         require_heuristic(heuristic)
     require_problem_and_options(problem, options)
@@ -163,7 +163,7 @@ class Run:
 
     def try_sequential_path(self) -> Status | None:
         """Move the robots one after the other if possible; return SOLVED if this is accepted or optimal."""
-        if set(self.options.searchers) == set(SEARCHERS):  # one search was not requested alone
+        if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             path = sequential_path(self.problem)
             self.end_phase("search")
             if path is not None:
@@ -420,7 +420,7 @@ class Searches:
         return status
 
     def release(self) -> None:
-        """Release the memory that the lattices and the searches were counted with."""
+        """Stop counting the memory of the lattices and the searches."""
         for each in (self, *self.running.values()):
             each.memory_use.release()
 

@@ -139,7 +139,7 @@ class TeamMoves:
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
-    """Convert each row of flags to a set."""
+    """Convert each row of flags to a set of primitives: the bits of an integer."""
     return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
@@ -156,7 +156,7 @@ class PIBT:
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return all robots' primitives, or None; each of the ``constraints`` prescribes the primitive of a robot."""
+        """Return all robots' primitives, chosen in ``order``, or None; ``constraints`` prescribe some of them."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -208,7 +208,7 @@ class PIBT:
         return True
 
     def _undo(self, num_chosen: int, num_changes: int) -> None:
-        """Restore the state with the given numbers of choices and changes."""
+        """Undo choices and changes until the given numbers of them are left."""
         while len(self._changes) > num_changes:
             robot, allowed = self._changes.pop()
             self.allowed[robot] = allowed

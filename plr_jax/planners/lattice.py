@@ -309,7 +309,7 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at some offsets, and whether they are other cells with a representative."""
+        """Return the cells at some offsets, and whether each is another cell with a representative."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)

@@ -97,7 +97,7 @@ def replan(
         raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
     if solution.path.shape[1:] != problem.starts.shape:
         expected = f"the problem's robots, of shape {problem.starts.shape}"
-        raise ValueError(f"solution must be one for {expected}, got a path for {solution.path.shape[1:]}.")
+        raise ValueError(f"solution must be for {expected}, got a path for {solution.path.shape[1:]}.")
     as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < math.inf)
     apart = motion_costs(problem, solution.path_at(at), problem.starts)
     if (apart > problem.workspace.tolerance).any():

@@ -30,7 +30,7 @@ class Robot:
     follow from them. Robots of equal shape must be equal and have the same hash, as frozen dataclasses do.
 
     The *reference point* is the origin of the core's frame. A configuration holds its position, and the heading by
-    which the body turns about it. It must lie in the body, since distances measure its path.
+    which the body turns about it. The reference point must lie in the body, since distances measure its path.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -205,7 +205,7 @@ class RectangleRobot(Robot):
 
     Args:
         length: Side along the heading, in workspace units; positive and finite, else ``ValueError``.
-        width: Side across the heading, likewise.
+        width: Side across the heading, in workspace units; positive and finite, else ``ValueError``.
     """
 
     length: float

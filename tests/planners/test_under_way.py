@@ -124,7 +124,7 @@ def test_what_is_wrong_is_said():
         replan(problem, solution, 2.0)
     with pytest.raises(ValueError, match="at must be a finite time of at least 0"):
         replan(problem, solution, -1.0)
-    with pytest.raises(ValueError, match="must be one for the problem's robots"):
+    with pytest.raises(ValueError, match="must be for the problem's robots"):
         replan(scenes.four_rooms(3), solution, 0.0)
     with pytest.raises(ValueError, match="must be a Solution that has a path"):
         replan(problem, cast("Any", solution.path), 0.0)
