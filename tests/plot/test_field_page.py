@@ -154,7 +154,9 @@ def test_what_is_told_follows_the_pointer_and_keys(held, browser, tmp_path):
 
     browser.mouse("mouseMoved", *at(0.5, 0.6))
     said = browser.run('byId("readout").textContent')
-    assert told_in(said) == pytest.approx(float(held["cones"]([0.5, 0.6])), abs=2e-3) and "Proven to be between" in said
+    assert (
+        told_in(said) == pytest.approx(float(held["cones"]([0.5, 0.6])), abs=2e-3) and "Proven to be between" in said
+    )
     assert re.search(r"The stored path has \d segments", said)
     browser.mouse("mouseMoved", *at(0.3, 0.7))
     assert "inside a wall" in browser.run('byId("readout").textContent')
