@@ -1,8 +1,6 @@
 """The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them.
 
-``app`` has what all commands share, ``inputs`` reads maps, ``rows`` reads tables of points; ``build``, ``files`` and
-``plan`` hold the commands. Heavy libraries are imported inside the commands, so that ``--help`` answers at once, and
-``query`` answers without JAX.
+Heavy libraries are imported inside the commands, so that ``--help`` is fast and ``query`` does not load JAX.
 """
 
 import os
@@ -16,16 +14,16 @@ if TYPE_CHECKING:
     import typer
 
 INTERRUPTED_EXIT, BROKEN_PIPE_EXIT, TERMINATED_EXIT = 130, 141, 143
-_SOON = 0.01  # seconds: a callback of the garbage collector ends within this time
+_SOON = 0.01  # seconds; callbacks of the garbage collector end within this time
 
 
 def main() -> None:
     """Run the command line; the entry point of ``plr-jax``.
 
-    Ctrl-C ends the command with exit code 130, also while it loads. SIGTERM ends it with 143. No file is left
-    half-written.
+    Ctrl-C ends the command with exit code 130, also while it loads; SIGTERM ends it with 143. Files are complete or
+    absent.
     """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not a job in the background
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # background jobs ignore Ctrl-C
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
     sys.unraisablehook = _resend_lost_signal
@@ -36,14 +34,13 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End the command by an exception, which cleans up. During an import, end the process at once.
+    """Handle a signal: raise an exception, which cleans up; but during an import, end the process at once.
 
-    Libraries swallow an exception in a half-done import, or abort the process. During imports no file is open for
-    writing, so there is nothing to clean up.
+    Libraries swallow an exception in an incomplete import, or abort the process. No file is open for writing then.
     """
     interrupted = number == signal.SIGINT
     while frame is not None:
-        if frame.f_code.co_name == "_find_and_load":  # of Python's own importlib
+        if frame.f_code.co_name == "_find_and_load":  # a frame of importlib: an import is under way
             os.write(2, b"Interrupted.\n" if interrupted else b"")
             os._exit(INTERRUPTED_EXIT if interrupted else TERMINATED_EXIT)
         frame = frame.f_back
@@ -51,7 +48,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
-    """Send a signal again if its exception was lost in a callback of the garbage collector, as JAX has."""
+    """Resend a signal whose exception got lost in a garbage collector callback, such as JAX's."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:
         sys.__unraisablehook__(lost)

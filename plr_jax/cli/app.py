@@ -1,4 +1,4 @@
-"""The application, and what all commands share: errors, warnings, exit codes, progress."""
+"""The command-line application, and the errors, warnings, exit codes and progress that all commands share."""
 
 import contextlib
 import functools
@@ -19,7 +19,7 @@ from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
 
 app = typer.Typer(
     name="plr-jax",
-    help="Distance functions over maps, compressed into kilobytes, and plans for several robots.",
+    help="Compress distance functions over maps into kilobytes, query them, and plan for several robots.",
     epilog="Start with: plr-jax demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -47,21 +47,22 @@ def _options(
 
 
 class _Command(TyperCommand):
-    """A command that explains a goal of several arguments: ``--goal 1 2`` must be ``--goal 1,2``."""
+    """A command that detects a goal split into several arguments: ``--goal 1 2`` must be ``--goal 1,2``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for place, option in enumerate(args):
             texts = (text.rstrip(",") for text in args[place + 1 :])
             given = list(takewhile(numbers_of, texts)) if option in ("--goal", "-g") else []
             if len(given) > 1:
-                raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {','.join(given)}.", ctx)
+                raise typer.BadParameter(f"a goal must be one argument X,Y: write {option} {','.join(given)}.", ctx)
         return super().parse_args(ctx, args)
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a command, with examples for its help.
 
-    A user's mistake is one line and exit code 2; Ctrl-C is exit code 130; a warning is one line.
+    Errors of the user are printed as one line, with exit code 2; warnings are one line each. Ctrl-C gives exit code
+    130.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
@@ -81,8 +82,8 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except KeyboardInterrupt:
                 typer.echo("Interrupted.", err=True)
                 raise typer.Exit(INTERRUPTED_EXIT) from None
-            except BrokenPipeError:  # the reader, such as `head`, has seen enough
-                # Python would report an error when it flushes what is left: send that to the null device.
+            except BrokenPipeError:  # the reader of a pipe, such as `head`, has ended
+                # Send the rest of the output to the null device, or Python reports an error when it flushes.
                 with contextlib.suppress(OSError, ValueError):
                     null = os.open(os.devnull, os.O_WRONLY)
                     os.dup2(null, sys.stdout.fileno())
@@ -97,7 +98,7 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """Return the message of an error; for a system error the file and the reason, without its number."""
+    """Return the message of an error; for a system error, the file and the reason without its number."""
     if not isinstance(error, OSError):
         return str(error)
     where = f"{error.filename}: " if error.filename else ""
@@ -127,15 +128,15 @@ def warn(message: str) -> None:
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """End the command with one line on standard error."""
+    """Print an error as one line on standard error and end the command."""
     typer.echo("Error: " + _as_line(message), err=True)
     raise typer.Exit(code)
 
 
 def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, bool]:
-    """Call a function that keeps its work on Ctrl-C. Return its result, and whether it was interrupted.
+    """Call a function that keeps partial work on Ctrl-C; return its result and whether it was interrupted.
 
-    Such a function warns of :class:`ConstructionInterrupted`. Other warnings are shown as usual.
+    Such a function warns with :class:`ConstructionInterrupted`; other warnings are shown as usual.
     """
     from plr_jax.plr import ConstructionInterrupted
 
@@ -155,16 +156,16 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Return the comma-separated numbers of a line, ``nan`` and ``inf`` included; none if a field is not a number.
+    """Parse comma-separated decimal numbers, including ``nan`` and ``inf``; empty if a field is not a number.
 
-    Numbers are decimal and ASCII, with or without spaces around them; ``1_000`` is not a number.
+    Numbers are ASCII, possibly surrounded by spaces; unlike in Python, ``1_000`` is not a number.
     """
     texts = line.split(",")
     return [float(text) for text in texts] if all(map(_NUMBER.fullmatch, texts)) else []
 
 
 def printable(text: str) -> str:
-    r"""Return a text from outside with control characters as ``\x1b``, so that a terminal does not obey them."""
+    r"""Replace control characters of foreign text by escapes such as ``\x1b``, so that terminals ignore them."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 

@@ -1,4 +1,4 @@
-"""The command ``plr-jax build``: from a map to a file with a proof."""
+"""The command ``plr-jax build``: compress the distance to a goal in a map, with proven error bounds."""
 
 import time
 from dataclasses import replace
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _LEAVES = ("best", "plane", "continuous", "smooth", "cone")
 _ERROR_POINTS = 20_000
-_SPECK = 4  # pixels of the largest obstacles and free places that are called specks
+_SPECK = 4  # pixels; smaller obstacles and free components are reported as specks
 
 
 @command(
@@ -54,22 +54,25 @@ def build(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="Error (workspace units) at which to stop: the proven error of planes and cones, the sampled error "
-            "of other leaves.",
+            help="Stop when the error, in workspace units, is below this: the proven error for planes and cones, the "
+            "sampled error for other leaves.",
             show_default=False,
         ),
     ] = None,
     leaf: Annotated[
         str,
         typer.Option(
-            help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
-            "'smooth', whose gradient does not jump either; 'cone', the distance to the next corner. 'best' compares "
-            "them and keeps the least proven error.",
+            help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
+            "without jumps of the gradient either; 'cone', the distance to the next corner. 'best' tries all and "
+            "keeps the one with the smallest proven error.",
             **choices(_LEAVES),
         ),
     ] = "best",
     leaf_bounds: Annotated[
-        bool, typer.Option("--leaf-bounds", help="Prove bounds for every cell, 2 bytes each, not one for all.")
+        bool,
+        typer.Option(
+            "--leaf-bounds", help="Store proven bounds for every cell, 2 bytes each, instead of one bound for all."
+        ),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
     resolution: ResolutionOption = None,
@@ -78,7 +81,7 @@ def build(
     polygons: PolygonsOption = None,
     radius: RadiusOption = None,
 ) -> None:
-    """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
+    """Compress the exact distance to a goal in a MAP into a small file with a proven error bound."""
     from plr_jax.plr.container import frame_size, require_label
     from plr_jax.plr.growth import BudgetTooSmall
 
@@ -88,20 +91,20 @@ def build(
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
 
-    # 1. Read the map, and find its exact oracle.
+    # 1. Read the map, and prepare its exact oracle.
     named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons, radius)
     with progress(f"reading {map}"):
         workspace, goal_point = named.read()
     if goal_point is None:
         raise ValueError(
-            f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
+            f"expected a goal, but {map} has none, or one for each of several robots: give one with --goal X,Y."
         )
     if (free := named.free_pixels()) is not None:
         typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
-    with progress("finding what corners see"):
+    with progress("computing visibility between corners"):
         oracle = plr_jax.VisibilityGraph(workspace, goal_point)
 
-    # 2. Construct. The file has room for its label.
+    # 2. Construct the PLR, with room for its label in the file.
     label = str(replace(named, goal=",".join(repr(float(along)) for along in goal_point)))
     require_label(label)
     label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
@@ -129,14 +132,14 @@ def build(
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
         raise typer.Exit(INTERRUPTED_EXIT)
 
-    # 3. Report. Points of another seed than the samples: else the error would be measured where leaves were fitted.
+    # 3. Report the error at points of another seed than the samples to which leaves were fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
     _print_errors(plr, oracle, seed + 1)
     typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
 def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
-    """Say how many specks a map has beside those that are dropped; an empty text if there are none."""
+    """Return a remark on the specks of a map that are not dropped, or an empty text."""
     from plr_jax.geometry.masks import without_specks
 
     _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)
@@ -147,7 +150,6 @@ def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
 
 
 def _print_errors(plr: "PLR", oracle: "VisibilityGraph", seed: int) -> None:
-    """Print the proven error, and the error that is measured at random free points."""
     with progress("measuring the error"):
         points = oracle.workspace.sample_free(_ERROR_POINTS, seed)
         report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)

@@ -1,4 +1,4 @@
-"""``plr-jax demo``: a maze in a few kilobytes, beside the oracle it was made from; then four robots in four rooms."""
+"""The command ``plr-jax demo``: compress a maze, compare it with its oracle, and plan for four robots."""
 
 import statistics
 import time
@@ -19,15 +19,17 @@ from plr_jax.plr import PLR
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
 _CONE_BYTES = 1024
-_GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames: they take longer to draw than the path to find
+_GIF_SECONDS, _GIF_RATE = 6, 12.5  # drawing frames takes longer than planning, so there are few
 
 
 def run(output: Path) -> None:
-    """Build the maze's PLR, measure it beside its oracle, draw it; plan for four robots, animate the path; pages."""
+    """Write the demo's files into a folder, and print what they show."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
-    typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
+    typer.echo(
+        "Four rooms around a center with narrow doors; four robots move to the opposite rooms at the same time."
+    )
     solution, report = solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES)
     if report is None or not report.valid:
         fail("There is no valid path for the four rooms.", code=1)
@@ -43,7 +45,7 @@ def run(output: Path) -> None:
 def _maze(output: Path) -> None:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
-    typer.echo(f"A maze of six walls; the distance from anywhere to {tuple(goal.tolist())}, to be stored.")
+    typer.echo(f"A maze of six walls, and the distance from any point to {tuple(goal.tolist())}, to be compressed.")
 
     began = time.perf_counter()
     oracle = VisibilityGraph(workspace, goal)
@@ -59,17 +61,17 @@ def _maze(output: Path) -> None:
         f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {report.num_points:,} random free points "
         f"(distances reach {report.max_distance:.2f})"
     )
-    typer.echo("  asking  a batch of random free points, warm, on " + _device())
+    typer.echo("  query   a batch of random free points, after compilation, on " + _device())
     plr_rate = _rate(plr, jnp.asarray(points, jnp.float32), _PLR_REPEATS)
     oracle_rate = _rate(oracle, points[:_ORACLE_POINTS], _ORACLE_REPEATS)
-    typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points a second")
-    typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points a second")
+    typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points per second")
+    typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points per second")
     typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
 
     _draw(plr, oracle, workspace, goal, output)
     cones = construct(oracle, workspace.bounds, leaf="cone", max_bytes=_CONE_BYTES, certified=True)
     plot.page(cones.with_label("maze"), workspace).save(page := output / "maze.html")
-    typer.echo(f"  wrote   {page}   (open it in a browser: the distance in {cones.num_bytes:,} bytes of cones)")
+    typer.echo(f"  wrote   {page}   (open it in a browser: the distance as {cones.num_bytes:,} bytes of cones)")
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
 
 
@@ -79,7 +81,7 @@ def _device() -> str:
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
-    """Points answered a second: the median of several runs after one that compiles."""
+    """Return points per second, by the median time of several calls after one that compiles."""
     jax.block_until_ready(function(points))
     seconds = []
     for _ in range(repeats):

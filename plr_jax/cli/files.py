@@ -1,4 +1,4 @@
-"""The commands that read a file of a PLR or of pairs: query, info, plot, export, view; and the demo."""
+"""The commands ``query``, ``info``, ``plot``, ``export`` and ``view`` for files of PLRs or pairs; and ``demo``."""
 
 import re
 from enum import StrEnum
@@ -26,13 +26,13 @@ def _holds_pairs(file: Path) -> bool:
 
     try:
         return holds_pairs(read_bytes(file))
-    except ValueError:  # the reader of the file says better what is wrong
+    except ValueError:  # the reader of the file gives a better error
         return False
 
 
 def _distance_to_goal(pairs: Any, file: Path, goal: str | None) -> Any:
     if goal is None:
-        raise ValueError(f"{file} holds the distance between any two points: give one with --goal X,Y.")
+        raise ValueError(f"{file} has the distance between any two points: give one of them with --goal X,Y.")
     return pairs.to(parse_goal(goal))
 
 
@@ -47,32 +47,35 @@ def query(
     points: Annotated[
         str,
         typer.Argument(
-            metavar="[POINTS.csv | -]", help="Points, x,y in each line; for pairs both ends, x,y,x,y; - is stdin."
+            metavar="[POINTS.csv | -]",
+            help="Points, x,y in each line; for pairs both ends, x,y,x,y; - reads standard input.",
         ),
     ] = "-",
     gradient: Annotated[
-        bool, typer.Option("--gradient", help="Print distance,dx,dy: the gradient beside the distance.")
+        bool, typer.Option("--gradient", help="Print distance,dx,dy: the distance and its gradient.")
     ] = False,
     bounds: Annotated[
-        bool, typer.Option("--bounds", help="Print distance,lower,upper: proven bounds beside the distance.")
+        bool, typer.Option("--bounds", help="Print distance,lower,upper: the distance and its proven bounds.")
     ] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first row that is no point.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first row that is not a point.")] = False,
 ) -> None:
-    """Print the distance of each point, one in each line: inf outside the domain, nan for a row that is no point.
+    """Print the distance of each point, one per line: inf outside the domain, nan for a row that is not a point.
 
-    Blank lines are skipped; other rows that are no points are reported on standard error. A first line of names is a
-    header. Tables of any length are answered in little memory.
+    Blank lines are skipped; other rows that are not points are reported on standard error. A first line of names is a
+    header. Tables may have any length.
     """
     import sys
 
     if sys.stdout is None:
-        raise ValueError("Standard output is closed: there is nowhere to print answers.")
+        raise ValueError("Standard output is closed: open it to get answers.")
     is_pairs = _holds_pairs(file)
     if is_pairs and gradient:
-        raise ValueError(f"--gradient is for PLRs, and {file} holds pairs.")
+        raise ValueError(f"--gradient needs a file of a PLR, got pairs in {file}: leave it out.")
     reader, gradients = _reader(file, is_pairs), _gradients(file) if gradient else None
     if bounds and not is_pairs and reader.max_error is None:
-        raise ValueError(f"Nothing is proven of {file}: files that plr-jax build writes have a proof.")
+        raise ValueError(
+            f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file} without any."
+        )
 
     def answers(x: np.ndarray) -> np.ndarray:
         ends = np.split(x, 2, axis=1) if is_pairs else [x]
@@ -87,7 +90,7 @@ def query(
 
 
 def _reader(file: Path, is_pairs: bool) -> Any:
-    """Return what answers a file in NumPy; pairs of a grid are answered by JAX, compiled for few sizes."""
+    """Return a function that answers queries of a file: NumPy's reader, or pairs of a grid in JAX."""
     if not is_pairs:
         from plr_jax.plr import load_numpy
 
@@ -99,7 +102,7 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return the function of the gradients at points, compiled for few sizes; NaN for NaN."""
+    """Return a function that computes gradients at points, compiled for few batch sizes; NaN for NaN."""
     import jax
 
     from plr_jax import load
@@ -116,9 +119,9 @@ def _gradients(file: Path) -> Any:
 
 @command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
 def info(
-    file: FileArgument, json: Annotated[bool, typer.Option("--json", help="As an object of JSON.")] = False
+    file: FileArgument, json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False
 ) -> None:
-    """Print what is in a file."""
+    """Print the properties of a file."""
     from plr_jax import load
     from plr_jax._arrays import format_numbers
     from plr_jax.plr import PLR
@@ -138,7 +141,7 @@ def info(
         "max_error",
     ]
     facts |= {name: getattr(content, name) for name in names if hasattr(content, name)}
-    if isinstance(content, PLR):  # the tables of pairs may take long to make
+    if isinstance(content, PLR):  # building the tables of pairs may take long
         facts |= {"leaf": content.leaf.name, "resident_bytes": content.resident_bytes}
     if json:
         typer.echo(dumps(facts, indent=2))
@@ -161,7 +164,7 @@ def info(
 
 
 class Picture(StrEnum):
-    """What ``plr-jax plot`` draws."""
+    """The kinds of pictures that ``plr-jax plot`` draws."""
 
     distance = "distance"
     cells = "cells"
@@ -173,8 +176,8 @@ MapOption = Annotated[
     str | None,
     typer.Option(
         metavar="MAP",
-        help="Draw this map's obstacles. Options of its reader may follow: 'scan.png --resolution=0.05'.",
-        show_default="what FILE was built of",
+        help="Map whose obstacles are drawn, with options of its reader: 'scan.png --resolution=0.05'.",
+        show_default="the map FILE was built from",
     ),
 ]
 
@@ -188,16 +191,18 @@ def plot(
     file: FileArgument,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="The picture to write: .png (also without an ending), .pdf or .svg."),
+        typer.Option("--output", "-o", help="The picture to write: .png (the default ending), .pdf or .svg."),
     ],
     map: MapOption = None,
     goal: GoalOption = None,
     kind: Annotated[
         Picture,
-        typer.Option(help="Colors and contours; the partition; a surface; the error, which needs the map."),
+        typer.Option(
+            help="The distance as colors and contours; the cells; a 3-D surface; the error, which needs the map."
+        ),
     ] = Picture.distance,
 ) -> None:
-    """Draw a file; for pairs, the distance to the goal."""
+    """Draw the distance in a file; for pairs, the distance to a goal."""
     from plr_jax import VisibilityGraph, load, metrics
     from plr_jax import plot as draw
     from plr_jax.plr import PLR
@@ -208,9 +213,11 @@ def plot(
     is_pairs = not isinstance(content, PLR)
     plr = _distance_to_goal(content, file, goal) if is_pairs else content
     if plr.domain.dim != 2:
-        raise ValueError(f"{file} has {plr.domain.dim} axes, and a picture has two: see plr_jax.plot.slices.")
+        raise ValueError(
+            f"FILE must have 2 axes to be drawn, got {plr.domain.dim} in {file}: use plr_jax.plot.slices."
+        )
     if not isinstance(plr, PLR) and kind is not Picture.distance:
-        raise ValueError(f"{file} holds pairs of cells of a grid: only the distance is drawn.")
+        raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
     of_map = None if is_pairs else goal
     workspace, target = read_map_of_file(file, content, map, of_map, is_needed=kind is Picture.error)
     target = parse_goal(str(goal)) if is_pairs else target
@@ -223,7 +230,7 @@ def plot(
             ax = draw.plot_surface(plr, workspace=workspace)
         case Picture.error:
             if workspace is None or target is None:
-                raise ValueError(f"{file} does not say of which map and goal it is: give --map, and --goal X,Y.")
+                raise ValueError(f"{file} does not name its map and goal: give --map, and --goal X,Y.")
             ax = draw.plot_error(metrics.error_grid(plr, VisibilityGraph(workspace, target), workspace), workspace)
     draw.save(ax, output)
     typer.echo(f"wrote {output}")
@@ -241,17 +248,18 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="The file to write.", show_default=False)],
     goal: GoalOption = None,
     js: Annotated[
-        bool, typer.Option("--js/--c", help="As a module of JavaScript, or as a header of C99, also valid C++.")
+        bool, typer.Option("--js/--c", help="Write a JavaScript module, or a C99 header, which is also valid C++.")
     ] = False,
     name: Annotated[
         str | None,
         typer.Option(help="Prefix of all names in a header.", show_default="the header's name without its ending"),
     ] = None,
 ) -> None:
-    """Write a file as code that answers points, bit for bit as query does, and needs nothing else.
+    """Write a file as code without dependencies, whose answers equal those of query, bit for bit.
 
-    Pairs become the distance to one goal; as JavaScript without a goal, the distance between any two points. Pairs of
-    a grid become steps between any two cells: their header reads a file of tables, which is written beside it.
+    Pairs become the distance to one goal, or, in JavaScript without a goal, the distance between any two points.
+    Pairs of a grid become a header that gives the steps between any two cells; it reads a file of tables, which is
+    written beside it.
     """
     from plr_jax import load
     from plr_jax._files import write_atomically
@@ -259,15 +267,15 @@ def export(
 
     require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
     if js and name is not None:
-        raise ValueError("--name is for headers of C: a module of JavaScript exports fixed names.")
+        raise ValueError("--name is for C headers, JavaScript modules have fixed names: leave it out.")
     is_pairs = _holds_pairs(file)
     content: Any = load(file) if is_pairs else load_numpy(file)
     prefix = output.stem if name is None else name
     if hasattr(content, "window"):  # pairs of a grid
         if js:
-            raise ValueError(f"{file} holds pairs of cells of a grid, which JavaScript does not answer.")
+            raise ValueError(f"{file} holds pairs of cells of a grid, which only C headers support: leave out --js.")
         if goal is not None:
-            raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers all: leave out --goal.")
+            raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers any goal: leave out --goal.")
         require_writable(tables := output.with_suffix(".tables"), inputs=(file,))
         header = content.c_header(prefix)
         write_atomically(tables, header.table)
@@ -277,7 +285,7 @@ def export(
     if is_pairs and not (js and goal is None):
         content = _distance_to_goal(content, file, goal)
     elif goal is not None:
-        raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
+        raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
     text = content.js_module() if js else content.c_header(prefix)
     write_atomically(output, text.encode())
     (tables,) = [None] if js else re.findall(r"tables take ([\d,]+) bytes", text)
@@ -292,8 +300,8 @@ def view(
         str | None,
         typer.Argument(
             metavar="[MAP]",
-            help="Draw this map's obstacles, as --map of plot; pairs bring their own.",
-            show_default="what FILE was built of",
+            help="Map whose obstacles are drawn, as --map of plot; pairs have their own.",
+            show_default="the map FILE was built from",
         ),
     ] = None,
     output: Annotated[
@@ -301,7 +309,7 @@ def view(
         typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html"),
     ] = None,
 ) -> None:
-    """Write a file as a page for a browser. It shows the distance, answers the pointer, and needs no network."""
+    """Write an interactive web page of a file, which shows the distance at the pointer and needs no network."""
     from plr_jax import load
     from plr_jax.plot import page
 
@@ -317,7 +325,7 @@ def view(
 
 @command("plr-jax demo --output pictures")
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("plr_jax_demo"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("plr_jax_demo"),
 ) -> None:
     """Compress a maze, compare it with the exact distance, and draw it; plan for four robots."""
     from plr_jax.cli.demo import run

@@ -1,4 +1,4 @@
-"""What the commands are given: maps with the options of their readers, goals, names of files to write."""
+"""Arguments and options of the commands: maps with the options of their readers, goals, output files."""
 
 import errno
 import os
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
-DEFAULT_BYTES = 4_096  # limit of a file where no limit is given
+DEFAULT_BYTES = 4_096  # size limit of a file by default
 PICTURES = (".png", ".pdf", ".svg")
-_VOLUMES = (".npy", ".3dmap", ".stl", ".obj", ".ply")  # which only Python reads
-_SAME_BOX = 1e-6  # two boxes count as the same if they differ by less, as a share of their width
+_VOLUMES = (".npy", ".3dmap", ".stl", ".obj", ".ply")  # supported in Python only
+_SAME_BOX = 1e-6  # boxes that differ by less than this share of their width count as equal
 _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "radius": float}  # others: str
 
 MapArgument = Annotated[
@@ -30,14 +30,14 @@ MapArgument = Annotated[
     typer.Argument(
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
-        'costs do not count), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
+        'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
         "grid (.map), polygons with holes (.json), a scene (.json).",
         show_default=False,
         autocompletion=lambda: list(SCENES),
     ),
 ]
 FileArgument = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A file of a PLR, or of pairs.", show_default=False)
+    Path, typer.Argument(metavar="FILE", help="A file of a PLR or of pairs.", show_default=False)
 ]
 GoalOption = Annotated[
     str | None,
@@ -45,14 +45,14 @@ GoalOption = Annotated[
         "--goal",
         "-g",
         metavar="X,Y",
-        help="The goal. A scene of one robot, or the file of a PLR, has a goal of its own.",
+        help="The goal. Scenes of one robot and files of PLRs have a default goal.",
         show_default=False,
     ),
 ]
 
 
 def choices(names: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of an option whose help shows its choices, and which the shell completes."""
+    """Return arguments of an option whose help and shell completion show its choices."""
     return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
 
 
@@ -65,23 +65,27 @@ ResolutionOption = Annotated[
     _reading_option("Side of a pixel of a picture, in workspace units.", "1"),
 ]
 ThresholdOption = Annotated[
-    float | None, _reading_option("Lightness above which a pixel is free: 0 is black, 1 white.", "0.5")
+    float | None, _reading_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
 ]
 DropSpecksOption = Annotated[
-    int | None, _reading_option("Drop obstacles, and free places, of at most so many pixels.", "0")
+    int | None, _reading_option("Drop obstacles and free components of at most this many pixels.", "0")
 ]
 PolygonsOption = Annotated[
     str | None,
-    _reading_option("What polygons are.", "obstacles in GeoJSON, free in .wkt", **choices(("obstacles", "free"))),
+    _reading_option(
+        "Whether polygons are obstacles or free space.",
+        "obstacles in GeoJSON, free in .wkt",
+        **choices(("obstacles", "free")),
+    ),
 ]
 RadiusOption = Annotated[
     float | None,
-    _reading_option("Radius of a round robot, in workspace units; distances are between its centers.", "0, a point"),
+    _reading_option("Radius of a disc robot, in workspace units; distances are for its center.", "0, a point"),
 ]
 
 
 def parse_goal(text: str) -> Float[np.ndarray, "2"]:
-    """Return the point that ``X,Y`` names."""
+    """Parse a point ``X,Y``."""
     goal = np.array(numbers_of(text))
     if goal.shape != (2,) or not np.isfinite(goal).all():
         raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
@@ -95,14 +99,13 @@ def option_of(key: str) -> str:
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map as a command names it. Its text is the label of a file, and can be parsed again.
+    """A map and its options as named on the command line; its text is stored as label of files and can be parsed.
 
     Attributes:
-        name: The name of a scene, or a file.
-        goal: ``X,Y``. None: the goal of a scene of one robot.
-        resolution: An option of the reader, as are ``threshold``, ``drop_specks`` and ``polygons``. None: the
-            reader's default.
-        radius: The radius of a disc. None: a point.
+        name: The name of a scene or a file.
+        goal: ``X,Y``; None for the goal of a scene of one robot.
+        resolution, threshold, drop_specks, polygons: Options of the reader; None for its default.
+        radius: Radius of a disc robot; None for a point.
     """
 
     name: str
@@ -118,7 +121,7 @@ class NamedMap:
 
     @classmethod
     def parse(cls, text: str) -> "NamedMap":
-        """Return the map that a text names; ``ValueError`` if it names none."""
+        """Parse the text of a map; ``ValueError`` if it is invalid."""
         try:
             name, *options = shlex.split(text)
             pairs = [option.removeprefix("--").split("=", 1) for option in options]
@@ -129,16 +132,16 @@ class NamedMap:
         except (ValueError, TypeError, IndexError):
             named = None
         if named is None or (named.name not in SCENES and not Path(named.name).suffix):
-            raise ValueError(f"expected a map and options of it, got {text!r}.")
+            raise ValueError(f"expected a map and its options, such as 'scan.png --resolution=0.05', got {text!r}.")
         return named
 
     def given_options(self) -> dict[str, Any]:
-        """Return the options that are given, by field name."""
+        """Return the options that are set, by field name."""
         fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {key: value for key, value in fields_of_map.items() if value is not None}
 
     def free_pixels(self) -> Bool[np.ndarray, "rows columns"] | None:
-        """Return which pixels of a picture, or of a map of map_server, are free; None for other maps."""
+        """Return which pixels of a picture or ``map_server`` map are free; None for other maps."""
         from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, free_pixels
 
         if self.name in SCENES or Path(self.name).suffix.lower() not in (*PICTURE_ENDINGS, *YAML_ENDINGS):
@@ -146,26 +149,25 @@ class NamedMap:
         return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-        """Return the workspace, inflated by the radius if there is one, and the goal if there is one.
+        """Read the workspace, inflated by the radius, and the goal, or None without one.
 
-        Raises:
-            ValueError: If MAP is neither a scene nor the file of a map, or its reader has no such option.
+        An unknown map or an option that its reader does not have raises ``ValueError``.
         """
         from plr_jax import scenes
 
         if Path(self.name).suffix.lower() in _VOLUMES:
             raise ValueError(
-                f"MAP must be a map in the plane, {self.name} is a volume. In Python use solve_eikonal of a "
+                f"MAP must be a map in the plane, got the volume {self.name}: in Python use solve_eikonal with "
                 "VoxelSpace(scenes.read_volume(...))."
             )
         goal = None if self.goal is None else parse_goal(self.goal)
         reading = {key: value for key, value in self.given_options().items() if key not in ("goal", "radius")}
         if self.name not in SCENES and not Path(self.name).suffix:
-            raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
+            raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a file of a map, got {self.name!r}.")
         if self.name in SCENES or (Path(self.name).suffix == ".json" and scenes.is_scene(self.name)):
             if reading:
                 options = ", ".join(map(option_of, reading))
-                raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
+                raise ValueError(f"{self.name} is a scene, which has no options of a reader: leave out {options}.")
             problem = getattr(scenes, self.name)() if self.name in SCENES else scenes.load(self.name)
             workspace = problem.workspace
             if goal is None and len(problem.robots) == 1:
@@ -183,13 +185,13 @@ class NamedMap:
         if unknown := ", ".join(option_of(key) for key in reading if key not in known):
             others = ", ".join(option_of(field.name) for field in fields(self) if field.name in known)
             raise ValueError(
-                f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
+                f"{self.name}: expected options of this kind of map ({others or 'none'}), got {unknown}."
             )
         workspace = reader(Path(self.name), **reading)
         if reader is read_geojson and goal is not None and not workspace.bounds.contains(goal[None])[0]:
             raise ValueError(
-                f"The goal {goal.tolist()} lies outside the bounds {workspace.bounds} of {self.name}: give the file "
-                'a "bbox" with room for it; without one the bounds are those of its polygons.'
+                f"The goal must be within the bounds {workspace.bounds} of {self.name}, got {goal.tolist()}: give "
+                'the file a "bbox" that contains it. Without one, the bounds are the bounding box of its polygons.'
             )
         return workspace
 
@@ -197,17 +199,17 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
 ) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """Return the workspace and the goal that belong to a file; None for what nobody names.
+    """Return the workspace and goal that belong to a file; None for what neither the user nor the file names.
 
     Args:
-        file: The file of a PLR or of pairs. A map that its label names is also looked for beside the file.
-        content: The PLR or the pairs.
-        map_text: MAP and options of its reader, if the user names it. The label of the file has the others.
-        goal: The goal, if the user names it.
-        is_needed: Whether a map that cannot be read is an error, and not a warning.
+        file: The file of a PLR or pairs. Its map is also looked for in its folder.
+        content: The PLR or pairs.
+        map_text: MAP and options as given by the user; they override those in the label of the file.
+        goal: The goal as given by the user.
+        is_needed: Whether an unreadable map is an error instead of a warning.
 
     Raises:
-        ValueError: If a goal is given, but neither the user nor the label names a map; if the user's map is none.
+        ValueError: If a goal is given without any map, or the user's map is invalid.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))
@@ -224,7 +226,7 @@ def read_map_of_file(
         is_moved = labeled.name not in SCENES and not Path(labeled.name).exists() and beside.exists()
         named = replace(labeled, name=str(beside)) if is_moved else labeled
     elif goal is not None:
-        raise ValueError(f"{file} does not say of which map it is: --goal needs --map.")
+        raise ValueError(f"{file} does not name its map: give --map together with --goal.")
     else:
         return None, None
     named = replace(named, goal=goal or named.goal)
@@ -234,7 +236,7 @@ def read_map_of_file(
         if map_text is not None:
             raise
         reason = reason_of(error).rstrip(".")
-        missing = f"the map that {file} was built of cannot be read ({reason}): name it with --map"
+        missing = f"the map that {file} was built from cannot be read ({reason}): name it with --map"
         if is_needed:
             raise ValueError(f"{missing}.") from error
         warn(f"{missing}; drawn without its obstacles.")
@@ -244,7 +246,7 @@ def read_map_of_file(
         [ours.lo, ours.hi], [theirs.lo, theirs.hi], rtol=0, atol=_SAME_BOX * ours.width.max()
     ):
         warn(
-            f"the map is {ours}, but {file} covers {theirs}: it may be another map, or this map read with "
+            f"the map covers {ours}, but {file} covers {theirs}: it may be another map, or this map read with "
             "other options, such as --resolution."
         )
     return workspace, target
@@ -253,12 +255,12 @@ def read_map_of_file(
 def require_writable(
     path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
 ) -> None:
-    """Refuse a file that cannot be written, before any work is done.
+    """Raise an error before any work is done if a file cannot be written.
 
     Args:
-        path: The file to write. None: nothing is written.
-        endings: The endings that the file may have. Empty: any.
-        inputs: Files that are read, and must not be written over.
+        path: The file to write; None if nothing is written.
+        endings: Allowed endings; any if empty.
+        inputs: Files that are read, and must not be overwritten.
     """
     if path is None:
         return
@@ -273,10 +275,10 @@ def require_writable(
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for file in inputs:
         if mode is not None and file is not None and os.path.exists(file) and os.path.samefile(file, path):
-            raise ValueError(f"{path} is read, and would be written over: name another file to write.")
+            raise ValueError(f"{path} is an input and must not be overwritten: name another output file.")
     if not folder.is_dir():
         raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
-    # A file is replaced by a new file in its folder, but a device or a pipe is written to.
+    # A file is replaced by a new one in its folder, but a device or pipe is written to directly.
     places = [path] * (mode is not None) + [folder] * (mode is None or stat.S_ISREG(mode))
     if not all(os.access(place, os.W_OK) for place in places):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))

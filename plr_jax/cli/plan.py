@@ -1,4 +1,4 @@
-"""The command ``plr-jax plan``: from a scene to a checked path for all its robots."""
+"""The command ``plr-jax plan``: plan a path for all robots of a scene, and validate it."""
 
 import time
 import warnings
@@ -55,33 +55,32 @@ def plan(
     heuristic: Annotated[
         Heuristic,
         typer.Option(
-            help="Cost-to-go: along each robot's lattice, none, straight lines, PLRs of point robots (the paper's), "
-            "PLRs of obstacles grown by each robot's radius, or the exact distance that these PLRs compress."
+            help="Cost-to-go of each robot: along its lattice; none; a straight line; a PLR for a point robot, as in "
+            "the paper; a PLR for obstacles inflated by its radius; or the exact distance that this PLR compresses."
         ),
     ] = Heuristic.lattice,
     plr_bytes: Annotated[int, typer.Option(help="Largest size of each PLR.")] = DEFAULT_BYTES,
     step: Annotated[
         float | None,
-        typer.Option(help="Side of a lattice's cells, in workspace units.", show_default="chosen, then refined"),
+        typer.Option(help="Cell size of the lattices, in workspace units.", show_default="automatic, then refined"),
     ] = None,
     weight: Annotated[
         float | None,
-        typer.Option(
-            help="Factor of the heuristic; a larger factor is greedier.", show_default="by the number of robots"
-        ),
+        typer.Option(help="Weight of the heuristic; larger is greedier.", show_default="by the number of robots"),
     ] = None,
     cost_factor: Annotated[
         float | None,
         typer.Option(
-            help="Search on while the cost is above this multiple of the lower bound.", show_default="stop at once"
+            help="Keep searching while the cost exceeds this multiple of the lower bound.",
+            show_default="stop at the first path",
         ),
     ] = None,
-    time_limit: Annotated[float, typer.Option(help="Seconds of planning.")] = 60.0,
+    time_limit: Annotated[float, typer.Option(help="Time limit of planning, in seconds.")] = 60.0,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help='Write the solution as JSON: "path" is (steps, robots, dof).'),
+        typer.Option("--output", "-o", help='Write the solution as JSON; "path" has shape (steps, robots, dof).'),
     ] = None,
-    animation: Annotated[Path | None, typer.Option(help="Write the path in motion: .gif or .html.")] = None,
+    animation: Annotated[Path | None, typer.Option(help="Write an animation of the path: .gif or .html.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the path: .png, .pdf or .svg.")] = None,
 ) -> None:
     """Plan for all robots of a SCENE at once, check the path, and report.
@@ -119,11 +118,11 @@ def plan(
 
 
 def _read_problem(name: str, num_robots: int | None) -> "Problem":
-    """Return a scene, with its default number of robots if none is given, or the problem in a file."""
+    """Return a published scene, by default with its usual number of robots, or the problem in a scene file."""
     from plr_jax import scenes
 
     if num_robots is not None and name not in _DEFAULT_ROBOTS:
-        raise ValueError(f"--robots is for the scenes {' and '.join(_DEFAULT_ROBOTS)}, not for {name!r}.")
+        raise ValueError(f"--robots is for the scenes {' and '.join(_DEFAULT_ROBOTS)}, got {name!r}: leave it out.")
     if name in _DEFAULT_ROBOTS:
         return getattr(scenes, name)(_DEFAULT_ROBOTS[name] if num_robots is None else num_robots)
     if name in _TEAM_SCENES:
@@ -136,10 +135,10 @@ def _read_problem(name: str, num_robots: int | None) -> "Problem":
 def solve(
     problem: "Problem", heuristic: Heuristic, options: "BLOptions", max_bytes: int
 ) -> "tuple[Solution, ValidationReport | None]":
-    """Plan with a heuristic that is built first, check the path, and print what was built and found.
+    """Build a heuristic, plan with it, validate the path, and print a report.
 
-    The lower bound is the sum of the robots' exact distances, each alone. Ctrl-C before the search raises
-    ``KeyboardInterrupt``; during the search, the solution's status says so.
+    The lower bound of the cost is the sum of the robots' single exact distances. Ctrl-C before the search raises
+    ``KeyboardInterrupt``; during the search, it sets the solution's status.
     """
     from dataclasses import replace
 
@@ -177,7 +176,7 @@ def solve(
 def _build_heuristic(
     heuristic: Heuristic, problem: "Problem", exact: Sequence["VisibilityGraph"], max_bytes: int
 ) -> "tuple[HeuristicFn | None, list[Any]]":
-    """Return a heuristic, and its PLRs. Robots of one size and one goal share a PLR."""
+    """Return a heuristic and its PLRs; robots of equal size and goal share a PLR."""
     from plr_jax import construct, robot_distance_fns, straight_line, sum_of_distances, zero
     from plr_jax.plr import ConstructionInterrupted
 
@@ -193,20 +192,22 @@ def _build_heuristic(
         case Heuristic.point_plr:
             exact = robot_distance_fns(problem, inflated=False)
     plrs: dict[object, Any] = {}
-    keys = [(id(oracle.workspace), *oracle.goal.tolist()) for oracle in exact]  # robots of one size share a workspace
+    keys = [
+        (id(oracle.workspace), *oracle.goal.tolist()) for oracle in exact
+    ]  # robots of equal size share a workspace
     for key, oracle in zip(keys, exact, strict=True):
         if key not in plrs:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", ConstructionInterrupted)
                 try:
                     plrs[key] = construct(oracle, problem.workspace.bounds, max_bytes=max_bytes)
-                except ConstructionInterrupted:  # nothing is planned with half a PLR
+                except ConstructionInterrupted:  # do not plan with an incomplete PLR
                     raise KeyboardInterrupt from None
     return sum_of_distances([plrs[key] for key in keys]), list(plrs.values())
 
 
 def describe(robots: Sequence["Robot"]) -> str:
-    """Return a team in words, such as ``2 discs of radius 0.4, 1 point``."""
+    """Describe a team, as in ``2 discs of radius 0.4, 1 point``."""
     return ", ".join(f"{n} {_body(robot, 's' if n > 1 else '')}" for robot, n in Counter(robots).items())
 
 

@@ -1,4 +1,4 @@
-"""Tables of points, read and answered block by block: any number of rows in little memory."""
+"""Reading tables of points and printing answers block by block, so that tables may have any length."""
 
 import io
 import re
@@ -14,20 +14,20 @@ from plr_jax.cli.app import numbers_of, warn
 
 _BLOCK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
-_OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # NumPy takes b"\xa01" for a number, we do not
+_OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # NumPy also parses b"\xa01" as a number
 
 
 @dataclass
 class PointTable:
-    """Points as lines of text: ``dim`` comma-separated numbers in each line, after an optional header.
+    """A table of points as text: ``dim`` comma-separated numbers per line, after an optional header.
 
-    Blank lines are skipped. A row of anything else becomes NaN, and is reported on standard error: the first few
-    rows, and then their number.
+    Blank lines are skipped. Other rows become NaN and are reported on standard error: the first few, then their
+    number.
 
     Attributes:
-        name: The name of the table in errors.
-        dim: Numbers in each line.
-        strict: Whether such a row is an error, raised after the rows before it.
+        name: Name of the table in errors.
+        dim: Numbers per line.
+        strict: Whether an invalid row raises an error, after the rows before it are answered.
     """
 
     name: str
@@ -35,11 +35,7 @@ class PointTable:
     strict: bool = False
 
     def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
-        """Yield the points, some at a time, as the lines come.
-
-        Raises:
-            ValueError: If the table is no text, has no points, or has a row that is no point and is ``strict``.
-        """
+        """Yield batches of points as lines arrive; ``ValueError`` for a table that is invalid as a whole."""
         expected, num_lines, num_bad, is_empty = f"{self.dim} comma-separated numbers", 0, 0, True
         may_be_header = True
         for block in self._blocks(file):
@@ -49,7 +45,7 @@ class PointTable:
             if may_be_header and rows:
                 may_be_header = False
                 rows = rows[_is_header(rows[0][1]) :]
-            # 1. The usual block: NumPy reads all of it at once.
+            # 1. Let NumPy parse the whole block.
             block = b"\n".join(line for _, line in rows)
             points = np.full((len(rows), self.dim), np.nan)
             try:
@@ -57,7 +53,7 @@ class PointTable:
                 is_plain = read.shape == points.shape and not block.translate(None, _OF_NUMBERS)
             except ValueError:
                 is_plain = False
-            # 2. A block with a bad row: line by line.
+            # 2. If a row is invalid, parse line by line.
             error = None
             points = read if is_plain else points
             for index, (number, line) in enumerate(() if is_plain else rows):
@@ -75,7 +71,7 @@ class PointTable:
                 if num_bad <= _MOST_WARNINGS:
                     warn(f"{message}; the answer is nan.")
                 if num_bad == _MOST_WARNINGS:
-                    warn("further such rows are only counted.")
+                    warn("further invalid rows are only counted.")
             if len(points):
                 is_empty = False
                 yield points
@@ -84,29 +80,31 @@ class PointTable:
         if is_empty:
             raise ValueError(f"{self.name} has no points: expected {expected} in each line.")
         if num_bad > _MOST_WARNINGS:
-            warn(f"{self.name} has {num_bad:,} rows that are no points.")
+            warn(f"{self.name} has {num_bad:,} rows that are not points.")
 
     def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
-        """Yield whole lines as they come, each block with its last newline."""
+        """Yield blocks of whole lines as they arrive."""
         rest, num_lines = b"", 0
         while data := file.read1(_BLOCK_BYTES):
             if not num_lines and not rest:
-                data = data.removeprefix(b"\xef\xbb\xbf")  # the mark that spreadsheets write
+                data = data.removeprefix(b"\xef\xbb\xbf")  # the byte-order mark that spreadsheets write
             if b"\0" in data:
-                raise ValueError(f"{self.name} is not a text file.")
+                raise ValueError(f"{self.name} must be a text file, got a zero byte.")
             rest += data
             end = rest.rfind(b"\n") + 1
             if end:
                 yield rest[:end]
                 num_lines, rest = num_lines + rest.count(b"\n"), rest[end:]
             if len(rest) > _MOST_LINE_BYTES:
-                raise ValueError(f"{self.name}, line {num_lines + 1}: longer than {_MOST_LINE_BYTES:,} bytes.")
+                raise ValueError(
+                    f"{self.name}, line {num_lines + 1}: expected at most {_MOST_LINE_BYTES:,} bytes, got more."
+                )
         if rest:
             yield rest
 
 
 def open_table(source: str) -> tuple[str, Any]:
-    """Return the name and the bytes of a file, or of standard input for ``-``."""
+    """Return the name and byte stream of a file, or of standard input for ``-``."""
     if source != "-":
         return source, open(source, "rb")
     if sys.stdin is None:
@@ -115,7 +113,7 @@ def open_table(source: str) -> tuple[str, Any]:
 
 
 def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
-    """Print answers, one row in each line, chunk by chunk."""
+    """Print one row of answers per line, chunk by chunk."""
     for answers in chunks:
         line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
         sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))
@@ -123,7 +121,7 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
 
 
 def _is_header(line: bytes) -> bool:
-    """Return whether a line is a header: each name begins with a letter, and none is a number, as ``nan`` is."""
+    """Return whether a line is a header: every name begins with a letter, and none is a number such as ``nan``."""
     names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
     begin = all(name[0].isalpha() or name[0] == "_" for name in names)
     return bool(names) and begin and not any(map(numbers_of, names))

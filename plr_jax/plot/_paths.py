@@ -1,4 +1,4 @@
-"""Pictures of what a planner is asked and what it answers: problems, paths, samples."""
+"""Pictures of problems, planned paths and samples, with the drawing of robots that animations share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,17 +21,14 @@ from plr_jax.plot._axes import FONT_SIZE, INK
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
-# A path as motion in time.
-
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Joint configurations and when they are reached.
+    """Joint configurations over time.
 
-    Args:
-        times: From 0 to the makespan of the path, never falling.
-        configurations: ``(steps, robots, dof)``, headings continued beyond pi, so that robots turn the way in
-            which headings run.
+    Attributes:
+        times: Times from 0 to the makespan, never decreasing.
+        configurations: Configurations at these times. Headings are unwrapped: interpolation turns the right way.
     """
 
     times: Float[np.ndarray, "steps"]
@@ -39,30 +36,24 @@ class Timeline:
 
     @property
     def duration(self) -> float:
-        """Time that the path takes: its makespan."""
+        """Makespan of the path."""
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
-        """Joint configurations at some times, clipped to those of the path."""
+        """Interpolate joint configurations at times, clipped to those of the path."""
         row, after, share = motions_under_way(self.times, times)
         share = share[:, None, None]
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
-        """The path from one time to another: every step in between, and both ends."""
+        """Return the part of the path between two times, including both ends."""
         inner = self.configurations[(self.times > first) & (self.times < last)]
         ends = self.at(np.array([first, last]))
         return np.concatenate([ends[:1], inner, ends[1:]])
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """The path in time: each motion takes as long as its largest cost of a robot, so the whole its makespan.
-
-    Steps in which nothing moves are left out.
-
-    Raises:
-        ValueError: If the path has a wrong shape or is not finite.
-    """
+    """Return the path over time, without steps in which nothing moves; ``ValueError`` if it is not finite."""
     path = as_path(problem, path)
     broken = np.argwhere(~np.isfinite(path))
     if broken.size:
@@ -73,39 +64,36 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
         moves[..., 2] = np.where(turns, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
     kept = moves.any(axis=(1, 2))
     continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])
-    continued[..., :2] = path[..., :2]  # without the rounding of sums
+    continued[..., :2] = path[..., :2]  # exact, without rounding errors of the sum
     rows = np.append(True, kept)
     return Timeline(row_times(problem, path)[rows], continued[rows])
 
 
-# Robots in a picture: their colors, bodies and numbers.
-
-
-# Chosen among named color-blind-safe palettes so that any two (the first four above all) stay apart as normal,
-# red-, green- and blue-blind readers see them.
+# From named color-blind-safe palettes: any two stay distinct for normal, red-, green- and blue-blind readers, and the
+# first four most clearly.
 ROBOT_COLORS = ("#0072B2", "#E69F00", "#B22222", "#56B4E9", "#009988", "#882255", "#D55E00", "#1B4F9C")
-DASHES = (3.0, 1.6)  # of a goal's outline, in line widths
-_DOT = 0.011  # radius of a point robot's dot, over the longer side of the bounds
-_CORNERS = 72  # of a disc as a polygon
-_AHEAD = 0.7  # cosine of the angle to the heading within which sides are the front
-_LIGHT = 0.55  # colors brighter than this carry dark numbers
+DASHES = (3.0, 1.6)  # dash and gap of a goal's outline, in line widths
+_DOT = 0.011  # radius of a point robot's dot, as a share of the longer side of the bounds
+_CORNERS = 72  # of the polygon that draws a disc
+_AHEAD = 0.7  # cosine of the largest angle between the heading and the normal of a front side
+_LIGHT = 0.55  # bodies of brighter colors get dark numbers
 _AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
 
 BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
 def color_of(i: int) -> str:
-    """Color of a robot; from the ninth on, they repeat."""
+    """Return the color of a robot; from the ninth robot on, colors repeat."""
     return ROBOT_COLORS[i % len(ROBOT_COLORS)]
 
 
 def ink_on(color: str) -> str:
-    """Color of a number that is legible on a color."""
+    """Return the color of text that is legible on a color."""
     return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
 
 
 def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Corners of a robot's body in its own frame, counterclockwise; a point is a small disc."""
+    """Return the corners of a robot's body in its own frame, counterclockwise; a point is a small disc."""
     radius = drawn_rounding(robot, bounds)
     if radius == 0:
         return robot.core
@@ -115,12 +103,12 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
-    """Radius by which a core is drawn rounded; a point gets that of a small dot."""
+    """Return the radius by which the core is drawn rounded; a point gets a small dot."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
-    """A bar near the front of a body, in its own frame, that shows where it heads."""
+    """Return a bar near the front of a body, in its own frame, which shows the heading."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     (_, y0), (_, y1) = shapely.get_coordinates(
@@ -133,7 +121,7 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
-    """The sides of a body that face where it heads, in its own frame."""
+    """Return the sides of a body that face forward, in its own frame."""
     corners = body_outline(robot, bounds)
     sides = np.roll(corners, -1, axis=0) - corners
     facing = sides[:, 1] / np.hypot(*sides.T)
@@ -143,12 +131,12 @@ def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
 
 
 def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Corners of a robot's body at a configuration, counterclockwise."""
+    """Return the corners of a robot's body at a configuration, counterclockwise."""
     return placed(robot, body_outline(robot, bounds), q)
 
 
 def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
-    """Draw a robot as a solid body, and the bar that shows where it heads if it has a heading."""
+    """Draw a robot as a solid body, with a bar that shows its heading if it has one."""
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
@@ -161,13 +149,13 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
 
 
 def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
-    """Draw a robot as a dashed outline, as goals are; a white line under it parts it from bodies."""
+    """Draw a robot's goal as a dashed outline on a white line, which sets it off from bodies."""
     robot, bounds = problem.robots[i], problem.workspace.bounds
     corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
     ax.add_patch(Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2))
-    if robot.dof == 3:  # its front is a line without gaps
+    if robot.dof == 3:  # the front is solid
         ahead = placed(robot, front_sides(robot, bounds), q)
         ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
 
@@ -182,7 +170,7 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
 def add_numbers(
     ax: Axes, problem: Problem, bodies: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "_ dof"]
 ) -> None:
-    """Number solid bodies, and goals if there are any: inside where there is room, else beside them."""
+    """Number bodies and goals: inside if there is room, else beside them."""
     bounds, num_robots = problem.workspace.bounds, len(bodies)
     robots, ends = [*problem.robots, *problem.robots[: len(goals)]], [*bodies, *goals]
     shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
@@ -192,11 +180,11 @@ def add_numbers(
         i = k % num_robots
         size = number_size(ax, i)
         if fits := 2 * robot.inscribed_radius >= 0.75 * size:
-            # Off the center where a goal's outline runs through it.
+            # Move off the center if a goal's outline runs through it.
             inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
             spot = _least_covered(inside, dashed, size) if k < num_robots else q[:2]
         if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
-            # Eight places around the body, close to it.
+            # Try eight positions close around the body.
             corners = shapely.get_coordinates(shape) - q[:2]
             spots = [q[:2] + ((corners @ way).max() + 0.62 * size) * way for way in np.array(_AROUND)]
             spot = _least_covered(spots, taken, size)
@@ -208,7 +196,7 @@ def add_numbers(
 
 
 def number_size(ax: Axes, i: int) -> float:
-    """Width and height that the number of a robot takes, in workspace units."""
+    """Return the width and height of a robot's number, in workspace units."""
     ax.apply_aspect()
     points = FONT_SIZE * (1 if i < 10 else 1.5)
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
@@ -218,7 +206,7 @@ def number_size(ax: Axes, i: int) -> float:
 def _least_covered(
     spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    """The first spot at which a number covers least of what is taken."""
+    """Return the first position at which a number overlaps the occupied shapes least."""
     covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
     return spots[int(np.argmin(covered))]
 
@@ -228,7 +216,7 @@ def _square(center: Float[np.ndarray, "2"], size: float) -> shapely.Polygon:
     return shapely.box(x - size / 2, y - size / 2, x + size / 2, y + size / 2)
 
 
-# z-orders: above obstacles, so that a wrong path is seen to be wrong, and below solid bodies.
+# z-orders above obstacles, so that a path through an obstacle shows, and below solid bodies.
 _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0
 
 
@@ -236,12 +224,8 @@ def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
     """Draw a problem: solid bodies at the starts, dashed outlines at the goals, numbered by robot.
 
     Args:
-        problem: What to draw. A bar near the front of a robot that has a heading shows where it heads; a point is a
-            dot.
-        ax: Axes to draw on; a new figure where not given.
-
-    Returns:
-        The axes.
+        problem: The problem. A bar near a robot's front shows its heading; a point robot is a dot.
+        ax: Axes to draw on; a new figure by default.
     """
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
@@ -260,27 +244,22 @@ def plot_path(
     end: float | int = 1.0,
     num_poses: int = 8,
 ) -> Axes:
-    """Draw a path, or a part of it, as in Fig. 3 of the paper.
+    """Draw a path or a part of it, as in Fig. 3 of the paper.
 
-    Each robot leaves a line in its color and faded bodies, evenly spaced in time, and stands, solid and
-    numbered, where it is at the end of the part.
+    Each robot leaves a line in its color and faded bodies at equal times. At the end of the part it is solid and
+    numbered.
 
     Args:
-        problem: What the path solves.
-        path: Joint configurations ``(steps, robots, dof)``.
-        ax: Axes to draw on; a new figure where not given.
-        begin: Where the part begins, as a share of the makespan: 0 is the start.
-        end: Where it ends: 1 is the goal. ``end=0.5`` here and ``begin=0.5`` in a second picture show the path
-            in two halves.
-        num_poses: Number of faded bodies of a robot, the first at the beginning; 0 for none. A body that waits
-            is drawn once.
-
-    Returns:
-        The axes.
+        problem: The problem that the path solves.
+        path: Joint configurations, ``(steps, robots, dof)``.
+        ax: Axes to draw on; a new figure by default.
+        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show two
+            halves.
+        end: End of the part, as a share of the makespan.
+        num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.
 
     Raises:
-        ValueError: If the path has a wrong shape or is not finite, not ``0 <= begin < end <= 1``, or the number
-            of poses is negative.
+        ValueError: If the path has the wrong shape or is not finite, or a number is out of range.
 
     References:
         Putman et al., Section V, Fig. 3.
@@ -307,19 +286,15 @@ def plot_path(
 
 
 def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -> Axes:
-    """Draw where a planner placed its samples, as in Fig. 4 of the paper: one color a robot.
+    """Draw a planner's samples, as in Fig. 4 of the paper, in one color per robot.
 
     Args:
-        problem: What was planned; its starts and goals are drawn on top.
-        samples: Joint configurations ``(n, robots, dof)``, such as a solution's; a point is drawn at each
-            robot's position.
-        ax: Axes to draw on; a new figure where not given.
-
-    Returns:
-        The axes.
+        problem: The planned problem, whose starts and goals are drawn on top.
+        samples: Joint configurations, ``(n, robots, dof)``, such as a solution's; one dot per robot position.
+        ax: Axes to draw on; a new figure by default.
 
     Raises:
-        ValueError: If the samples have another shape or are not numbers.
+        ValueError: If the samples have the wrong shape or are not numbers.
 
     References:
         Putman et al., Section V, Fig. 4.
@@ -330,7 +305,7 @@ def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -
         raise ValueError(f"Samples must have shape {shape}, got {samples.shape}.")
     ax = plot_problem(problem, ax)
     colors = np.array([color_of(i) for i in range(len(problem.robots))])
-    # In one collection, so that no robot's points cover those of all robots before it.
+    # In one collection, so that no robot's dots cover all dots of earlier robots.
     ax.scatter(
         *samples[..., :2].reshape(-1, 2).T,
         c=np.tile(colors, len(samples)),

@@ -1,4 +1,4 @@
-"""Pictures in the plane: workspaces, contours, cells, errors."""
+"""Pictures of functions in the plane and of slices: surfaces, contours, cells and errors; and of workspaces."""
 
 from collections.abc import Mapping
 from typing import TypeAlias
@@ -39,9 +39,6 @@ from plr_jax.plot._axes import (
 )
 from plr_jax.spaces import FreeTest
 
-# The picture of a distance function as a surface.
-
-
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 
 
@@ -53,25 +50,22 @@ def plot_surface(
     label: str = DISTANCE,
     unit: str = WORKSPACE_UNITS,
 ) -> Axes3D:
-    """Draw a 2-D distance function as a surface of pieces, one a leaf, as in Fig. 1 of the paper.
+    """Draw a 2-D distance function as a surface with one piece per leaf, as in Fig. 1 of the paper.
 
     Args:
-        plr: The PLR.
-        ax: 3-D axes to draw on; a new figure where not given.
-        workspace: Cells are cut to its free space, beyond which their planes mean nothing.
+        plr: The PLR. Leaves without a finite value are left out.
+        ax: 3-D axes to draw on; a new figure by default.
+        workspace: If given, cells are clipped to its free space, outside which the pieces are meaningless.
         label: The quantity, such as "time to the goal".
-        unit: Its unit, such as "s".
-
-    Returns:
-        The axes. Leaves without an answer are left out.
+        unit: The unit, such as "s".
 
     Raises:
-        ValueError: If the PLR is not 2-D, or no leaf has an answer.
+        ValueError: If the PLR is not 2-D, or no leaf has a finite value.
     """
     require_2d(plr)
     pieces = _pieces(plr, workspace)
     if not pieces:
-        raise ValueError("There is nothing to draw: no leaf has an answer in free space.")
+        raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
     heights = np.array([piece[:, 2].mean() for piece in pieces])
     colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
     if ax is None:
@@ -80,7 +74,7 @@ def plot_surface(
     else:
         bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
     style_colorbar(bar, f"{label} ({unit})")
-    # Lines are paler the more there are, so that they do not blacken the surface.
+    # The more lines, the paler they are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
     ax.add_collection3d(
         Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
@@ -92,7 +86,7 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Every leaf's function at the leaf's corners (or those of the free part of it), as polygons in space."""
+    """Return the leaves' values at the corners of each cell, or of its free part, as polygons in space."""
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
     if not pieces:
@@ -109,7 +103,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     solid: list[Corners] = []
     for part in parts:
         if part.geom_type == "Polygon" and not part.is_empty:
-            # A polygon in space has no holes: cut the rare cell around an obstacle into triangles.
+            # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
             whole = shapely.get_num_interior_rings(part) == 0
             solid += [shapely.get_coordinates(part)[:-1]] if whole else list(triangulate(part))
     return solid
@@ -121,14 +115,11 @@ _ERROR_COLORS = "inferno"
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
-    """Draw the obstacles of a workspace and its outline.
+    """Draw the obstacles and bounds of a workspace.
 
     Args:
-        workspace: What to draw.
-        ax: Axes to draw on; a new figure where not given.
-
-    Returns:
-        The axes.
+        workspace: The workspace.
+        ax: Axes to draw on; a new figure by default.
     """
     ax = prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
     _add_obstacles(workspace, ax)
@@ -141,7 +132,7 @@ def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
 
 
 def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
-    """What obstacles cover of the bounds, merged."""
+    """Return the union of the obstacles within the bounds."""
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
     return [polygon for polygon in shapely.get_parts(blocked) if polygon.geom_type == "Polygon"]
@@ -162,31 +153,29 @@ def plot_contours(
     """Draw a distance function, or another cost-to-go, as colors with contour lines.
 
     Args:
-        plr: The PLR.
-        ax: Axes to draw on; a new figure where not given.
-        workspace: Its obstacles are drawn on top. Without it, the values inside obstacles show, which mean
-            nothing. With a ``goal``, parts of free space that do not reach it are gray as well.
-        space: In its place, the configuration space: what is not free is gray.
-        goal: A configuration whose place on the axes is marked with a star, ``(dim,)``.
-        at: Of a function of more than two dimensions, where the slice is that is drawn: coordinates by axis, counted
-            from 0, of all axes but two, as in ``at={2: 0.5}``. Axes of angles have ticks in radians.
+        plr: The PLR. Points without a finite value stay blank.
+        ax: Axes to draw on; a new figure by default.
+        workspace: Its obstacles are drawn on top; without it, meaningless values inside obstacles show. With a
+            ``goal``, free regions that are disconnected from the goal are gray too.
+        space: Alternatively, a configuration space: points that are not free are gray.
+        goal: A configuration, ``(dim,)``, marked with a star.
+        at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
+            drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
-        unit: Its unit, such as "s".
-        resolution: Number of samples along the longer side of the domain.
-
-    Returns:
-        The axes. Points without an answer stay blank; a grid of one row or column gets no lines.
+        unit: The unit, such as "s".
+        resolution: Number of samples along the longer side of the domain. There are no lines if the shorter side gets
+            one.
 
     Raises:
-        ValueError: If ``at`` leaves other than two axes, or leads outside the domain; if there is a workspace for
-            axes that are not its own, or a space of another dimension; or if no point has an answer.
+        ValueError: If ``at`` does not leave two axes or is outside the domain, a workspace is given for other axes
+            than its own, the space has another dimension, or no point has a finite value.
     """
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, space)
     ax = prepare_axes(ax, shown)
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
+    # Values inside obstacles are drawn and covered, so that colors reach the walls, but do not affect the scale.
     free, cut_off = free_points(points, shown, workspace, space), []
     if goal is not None:
         goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
@@ -196,7 +185,7 @@ def plot_contours(
             free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
     of_free = values[free]
     if not of_free.count():
-        raise ValueError("There is nothing to draw: no point has an answer in free space.")
+        raise ValueError("There is nothing to draw: no point in free space has a finite value.")
     largest = float(of_free.max())
     image = draw_values(ax, shown, points, values, largest, 16, None if space is None else ~free)
     if workspace is not None:
@@ -218,7 +207,7 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values in colors from 0 to the largest, lines between about so many levels, and closed points in gray."""
+    """Draw values as colors from 0 to the largest with about ``num_levels`` contours, and closed points in gray."""
     image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1
@@ -234,7 +223,7 @@ def draw_values(
 
 
 def mark_goal(ax: Axes, goal: Float[np.ndarray, "2"]) -> None:
-    """Mark the place of a goal with a star."""
+    """Mark a goal with a star."""
     ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
 
 
@@ -246,21 +235,18 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a partition, one rectangle a leaf.
+    """Draw the cells of a partition, one rectangle per leaf.
 
     Args:
         plr: The PLR.
-        ax: Axes to draw on; a new figure where not given.
+        ax: Axes to draw on; a new figure by default.
         workspace: Its obstacles are drawn on top.
-        at: Of a PLR of more than two dimensions, where the slice is that is drawn, as for :func:`plot_contours`.
+        at: The slice of a PLR of more than two dimensions, as for :func:`plot_contours`.
         color: Color of the lines.
 
-    Returns:
-        The axes.
-
     Raises:
-        ValueError: If ``at`` leaves other than two axes, or leads outside the domain, or there is a workspace for
-            axes that are not its own.
+        ValueError: If ``at`` does not leave two axes or is outside the domain, or a workspace is given for other
+            axes.
     """
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
@@ -285,21 +271,17 @@ def plot_error(
     """Draw the error of an approximation over free space, as in Fig. 2 of the paper.
 
     Args:
-        errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as
-            ``metrics.error_grid`` gives them. NaN is blank; points without an answer (infinite) are red.
-        workspace: Its obstacles are drawn on top. In its place, the configuration space that the errors are of.
-        ax: Axes to draw on; a new figure where not given.
-        at: Of a space of more than two dimensions, the slice that ``metrics.error_grid`` was given.
+        errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as from
+            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red.
+        workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
+        ax: Axes to draw on; a new figure by default.
+        at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors.
-        largest: Error at the upper end of the colors, beyond which they stay the same; where not given, the
-            error that 99.9 % of the points do not exceed. Give the same number to pictures that are to be
-            compared.
-
-    Returns:
-        The axes.
+        largest: Error at the upper end of the color scale; larger errors are clipped. By default the 99.9 % quantile.
+            Use the same number for pictures that are to be compared.
 
     Raises:
-        ValueError: If no error is finite, one is masked, or ``at`` leaves other than two axes.
+        ValueError: If no error is finite, an error is masked, or ``at`` does not leave two axes.
 
     References:
         Putman et al., Section IV-A, Fig. 2: ``epsilon_g(x) = |L_g(x) - V_g(x)|``.
@@ -324,19 +306,21 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Refuse obstacles of other axes than are drawn."""
+    """Raise ``ValueError`` if a workspace or space does not match the drawn axes."""
     if workspace is not None and shown.axes != (0, 1):
-        raise ValueError(f"Obstacles of a workspace belong to axes 0 and 1, but axes {shown.axes} are drawn.")
+        raise ValueError(
+            f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave the workspace out."
+        )
     if workspace is not None and space is not None:
-        raise ValueError("Either a workspace or a space says what is free, got both.")
+        raise ValueError("Expected either a workspace or a space, got both: leave one out.")
     if space is not None and space.domain.dim != shown.domain.dim:
-        raise ValueError(f"A space of {shown.domain.dim} dimensions was expected, got {space.domain.dim}.")
+        raise ValueError(f"Expected a space of {shown.domain.dim} dimensions, got {space.domain.dim}.")
 
 
 def free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Whether points are free: all of them, if nothing says which."""
+    """Return which points are free: all, without a workspace or space."""
     flat = points.reshape(-1, shown.domain.dim)
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
@@ -346,16 +330,16 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goal: Float[np.ndarray, "2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Parts of free space from which a path leads to the goal, and others; all do to a goal that is in none."""
+    """Split free space into parts connected to the goal and others; all count if no part has the goal."""
     parts = shapely.get_parts(workspace.free_space)
     reached, num = shapely.distance(parts, shapely.Point(goal)) <= workspace.tolerance, 0
-    while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # through points where parts touch
+    while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch
         reached = shapely.distance(parts, shapely.MultiPolygon(list(parts[reached]))) <= workspace.tolerance
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
-    """Corners of the cells that a slice meets, counterclockwise."""
+    """Return the corners of the cells that a slice meets, counterclockwise."""
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
     ends = hi[:, others] == shown.domain.hi[others]

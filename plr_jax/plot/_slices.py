@@ -1,4 +1,4 @@
-"""Pictures of functions of three and more dimensions: slices side by side, in one scale of colors."""
+"""Pictures of functions of three or more dimensions: slices side by side with one color scale."""
 
 from collections.abc import Mapping
 
@@ -24,10 +24,10 @@ from plr_jax.plot._plane import draw_values, free_points, mark_goal, require_dra
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
-# Inches: the longer side of a slice, gaps between slices with their titles, the margin, and the least picture, which
-# has room for the name of its color bar.
+# Inches: the longer side of a slice, gaps between slices with room for titles, margins, and the smallest figure, with
+# room for the label of the color bar.
 _PANEL, _GAP, _MARGIN, _LEAST = 1.9, (0.2, 0.35), (1.4, 0.45), (3.2, 2.9)
-_WIDE = 1.6  # how much wider than high slices are together
+_WIDE = 1.6  # aspect ratio of all slices together
 _NUM_LEVELS = 12
 
 
@@ -43,32 +43,31 @@ def slices(
     unit: str = WORKSPACE_UNITS,
     resolution: int = 240,
 ) -> list[Axes]:
-    """Draw slices of a distance function of three or more dimensions, side by side in one scale of colors.
+    """Draw slices of a function of three or more dimensions, side by side with one color scale.
 
     Args:
         plr: The PLR, or another function of a box.
-        axis: The axis across which it is cut, counted from 0.
-        count: Number of slices, from 1 to 64, each in the middle of one of as many layers of the domain.
-        space: The configuration space: what is not free, or has no answer, is gray.
-        goal: A configuration, ``(dim,)``, marked with a star in the nearest slice, which is moved there.
-        at: Of a function of more than three dimensions, coordinates by axis, counted from 0, of all axes but ``axis``
-            and the two that are drawn, as in ``at={3: 0.5}``.
+        axis: The axis along which slices are stacked, counted from 0.
+        count: Number of slices, from 1 to 64, in the middle of equal layers of the domain.
+        space: The configuration space. Points that are not free, or have no value, are gray. Without it, points
+            without a value stay blank.
+        goal: A configuration, ``(dim,)``: a star in the nearest slice, which is moved to it.
+        at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn,
+            such as ``{3: 0.5}``.
         label: The quantity, such as "time to the goal".
-        unit: Its unit, such as "s".
+        unit: The unit, such as "s".
         resolution: Number of samples along the longer side of a slice.
 
     Returns:
-        The axes of the slices, from the lowest coordinate on, in a figure of their own. Without a space, points
-        without an answer stay blank.
+        The axes of the slices in a new figure, from the lowest coordinate on.
 
     Raises:
-        ValueError: If the function has fewer than three dimensions, there is no such axis or another number of
-            slices, ``at`` leaves other than two axes or leads outside the domain, the space has another dimension, or
-            no point has an answer.
+        ValueError: If the function has fewer than three dimensions, an axis or the count is out of range, ``at`` does
+            not leave two axes or is outside the domain, the space has another dimension, or no point has a value.
     """
     domain: Box = plr.domain
     if domain.dim < 3:
-        raise ValueError(f"Slices need three dimensions or more, got {domain.dim}: plot_contours draws these.")
+        raise ValueError(f"Slices need three dimensions or more, got {domain.dim}: use plot_contours.")
     require_integer("axis", axis, 0)
     require_integer("count", count, 1)
     if axis >= domain.dim or count > _MOST_SLICES:
@@ -76,15 +75,15 @@ def slices(
         raise ValueError(f"{expected}, got {axis} and {count}.")
     at = {} if at is None else at
     if axis in at:
-        raise ValueError(f"at must leave out axis {axis}, across which slices are cut, got {dict(at)}.")
+        raise ValueError(f"at must leave out axis {axis}, along which slices are stacked, got {dict(at)}.")
     if goal is not None:
         goal = domain.wrapped(as_finite_point("goal", goal, domain.dim))
-    # 1. Where slices are: evenly spaced, but for the one at the goal.
+    # 1. Space slices evenly, but move the nearest one to the goal.
     places = domain.lo[axis] + domain.width[axis] * (np.arange(count) + 0.5) / count
     if goal is not None:
         places[np.abs(places - goal[axis]).argmin()] = goal[axis]
 
-    # 2. Values at a grid of points of each, and which of them are answers in free space.
+    # 2. Evaluate a grid of points in each slice, and find values in free space.
     cuts = [Slice.of(domain, {**at, axis: float(place)}) for place in places]
     require_drawable(cuts[0], None, space)
     points = [cut.grid(resolution) for cut in cuts]
@@ -95,15 +94,15 @@ def slices(
     ]
     largest = max((float(of[seen].max()) for of, seen in zip(values, shows, strict=True) if seen.any()), default=None)
     if largest is None:
-        raise ValueError("There is nothing to draw: no point has an answer in free space.")
+        raise ValueError("There is nothing to draw: no point in free space has a finite value.")
 
-    # 3. Slices row by row from the top left, the whole about as wide as the page of a paper.
+    # 3. Draw slices row by row from the top left, with the aspect ratio of a figure in a paper.
     horizontal, vertical = cuts[0].axes
     same_unit = is_angle(domain, horizontal) == is_angle(domain, vertical)
     width, height = cuts[0].box.width / cuts[0].box.width.max() if same_unit else (1.0, 1.0)
     columns = int(np.clip(np.ceil(np.sqrt(_WIDE * count * height / width)), 1, count))
     rows = -(-count // columns)
-    columns = -(-count // rows)  # no more than that takes
+    columns = -(-count // rows)  # drop columns that stay empty
     size = np.array([columns, rows]) * (_PANEL * np.array([width, height]) + _GAP) + _MARGIN
     figure = Figure(figsize=tuple(np.maximum(size, _LEAST)), dpi=DPI, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(rows, columns)

@@ -77,7 +77,7 @@ def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(path, tmp_pat
     command = ["build", yard, "--goal", "1,1", "-o", path, "--max-leaves", 4, "--leaf", "plane"]
     yard.write_text(json.dumps(document))
     error = mistake(*command)
-    assert "goal [1.0, 1.0] lies outside the bounds Box([2.0, 2.0], [4.0, 3.0])" in error and '"bbox"' in error
+    assert "goal must be within the bounds Box([2.0, 2.0], [4.0, 3.0])" in error and '"bbox"' in error
     yard.write_text(json.dumps({**document, "bbox": [0, 0, 6, 5]}))
     done(*command)
     assert '"bbox"' in done("build", "--help")
@@ -98,14 +98,14 @@ def test_what_a_reader_warns_of_is_a_line(path, tmp_path):
 @pytest.mark.parametrize(
     ("map_", "options", "message"),
     [
-        ("mace", [], "must be a scene (maze, thin_maze, floor_plan) or a map's file"),
+        ("mace", [], "must be a scene (maze, thin_maze, floor_plan) or a file of a map"),
         ("none.map", ["--goal", "1,1"], "none.map: No such file or directory"),
         ("grid.map", [], "give one with --goal X,Y"),
         ("team.json", [], "one for each of several robots"),
         ("maze", ["--goal", "1;2"], "--goal must be two numbers X,Y"),
         ("bow.json", ["--goal", "0.5,0.1"], "bow.json"),
         ("maze", ["--goal", "0.5,0.45"], "goal [0.5, 0.45] lies in an obstacle"),
-        ("cave.3dmap", ["--goal", "1,1,1"], "MAP must be a map in the plane, cave.3dmap is a volume"),
+        ("cave.3dmap", ["--goal", "1,1,1"], "MAP must be a map in the plane, got the volume cave.3dmap"),
         ("maze", ["--goal", "1.5,0.5"], "goal [1.5, 0.5] lies outside the bounds"),
     ],
 )
@@ -131,7 +131,7 @@ def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough(leaf, path):
 def test_a_goal_of_two_arguments_is_told_how_to_be_one():
     for goal in (("3", "28"), ("-3", "2.5")):
         result = run("build", "maze", "--goal", *goal)
-        assert result.exit_code == 2 and "a goal is one argument X,Y" in result.output.replace("\n", " ")
+        assert result.exit_code == 2 and "a goal must be one argument X,Y" in result.output.replace("\n", " ")
 
 
 def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkeypatch):
@@ -164,7 +164,7 @@ def test_bounds_of_cells_are_narrower_and_need_a_proof(path):
     assert widths[1] < widths[0]
     save(construct(lambda x: np.hypot(*x.T), MAZE.bounds, max_leaves=4), path)
     result = run("query", path, "-", "--bounds", input="0.3,0.85\n")
-    assert result.exit_code == 2 and "Nothing is proven" in result.stderr
+    assert result.exit_code == 2 and "--bounds needs a file with proven bounds" in result.stderr
 
 
 def test_a_warning_of_something_else_does_not_end_a_build_and_an_interrupt_before_a_tree_leaves_nothing(

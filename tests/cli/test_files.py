@@ -65,7 +65,7 @@ def test_query_explains_mistakes(plane, tmp_path):
         ([plane, tmp_path / "none.csv"], "no such file"),
         ([tmp_path / "none.plr"], "no such file"),
         ([tmp_path / "foreign.plr"], "foreign.plr"),
-        ([plane, tmp_path / "points.csv"], "points.csv is not a text file"),
+        ([plane, tmp_path / "points.csv"], "points.csv must be a text file"),
         ([plane, tmp_path], "is a directory"),
     ):
         assert message in mistake("query", *arguments, input="").lower()
@@ -86,7 +86,7 @@ def test_export_writes_a_module(plane, tmp_path):
     assert "bytes of text" in done("export", plane, "--js", "-o", tmp_path / "maze.mjs")
     assert (tmp_path / "maze.mjs").read_text() == load(plane).js_module()
     assert "must end in .mjs" in mistake("export", plane, "--js", "-o", tmp_path / "a.h")
-    assert "--name is for headers of C" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
+    assert "--name is for C headers" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +137,7 @@ def test_view_writes_a_page(maze, pairs, tmp_path):
     assert "covers Box([0.0, 0.0], [1.0, 1.0])" in run("view", maze, "floor_plan", "-o", page).stderr
     done("view", points, "-o", page)
     assert page.read_text(encoding="utf-8") == plr_jax.plot.page(load(points)).html
-    assert "shows a PLR or pairs of points" in mistake("view", grid, "-o", page)
+    assert "needs a PLR or a PairPLR" in mistake("view", grid, "-o", page)
     assert "must end in .html" in mistake("view", maze, "-o", tmp_path / "a.png")
 
 
@@ -228,7 +228,7 @@ def test_what_is_read_is_not_written_over(plane, maps, tmp_path):
         (["export", plane, "--c"], "header.h"),
         (["plan", tmp_path / "team.json"], "team.json"),
     ):
-        assert "is read, and would be written over" in mistake(*command, "-o", tmp_path / name)
+        assert "is an input and must not be overwritten" in mistake(*command, "-o", tmp_path / name)
     assert files == {path: path.read_bytes() for path in tmp_path.iterdir()}
 
 
@@ -308,7 +308,7 @@ def test_plot_takes_goal_and_options_of_a_map_from_the_file(tmp_path, monkeypatc
     for given in (["--map", "scan.png --resolution=1"], ["--map", "copy.png"]):
         result = run("plot", "scan.plr", *given, "-o", "other.png")
         assert result.exit_code == 0 and result.stderr.count("\n") == 1
-        assert "Warning: the map is Box([0.0, 0.0], [60.0, 40.0])" in result.stderr
+        assert "Warning: the map covers Box([0.0, 0.0], [60.0, 40.0])" in result.stderr
         assert "covers Box([0.0, 0.0], [3.0, 2.0])" in result.stderr
 
 
@@ -333,7 +333,7 @@ def test_plot_needs_no_map_and_says_which_file_it_wrote(unlabeled, tmp_path):
         (["--kind", "error", "-o", "a.png"], "give --map"),
         (["-o", "a.docx"], "a.docx must end in .png or .pdf or .svg"),
         (["-o", "none/a.png"], "none: No such folder"),
-        (["--goal", "0,0", "-o", "a.png"], "--goal needs --map"),
+        (["--goal", "0,0", "-o", "a.png"], "give --map together with --goal"),
         (["--map", "none.png", "-o", "a.png"], "Error: none.png: No such file or directory\n"),
     ],
 )
@@ -348,7 +348,7 @@ def test_a_file_is_drawn_where_its_map_is_not(kind, plane, unlabeled, tmp_path):
     save(load(plane).with_label("elsewhere/scan.png --goal=0.06,0.07"), path)
     result = run("plot", path, "--kind", kind, "-o", picture)
     reason = "elsewhere/scan.png: No such file or directory"
-    said = f"the map that {path} was built of cannot be read ({reason}): name it with --map"
+    said = f"the map that {path} was built from cannot be read ({reason}): name it with --map"
     assert result.exit_code == 0, result.output
     assert result.stderr == f"Warning: {said}; drawn without its obstacles.\n"
     drawn, pictures = picture.read_bytes(), []
@@ -366,4 +366,4 @@ def test_a_label_that_names_no_map_is_any_text(label, plane, tmp_path):
     save(load(plane).with_label(label), tmp_path / "a.plr")
     done("plot", tmp_path / "a.plr", "-o", tmp_path / "a.png")
     error = mistake("plot", tmp_path / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
-    assert "does not say of which map" in error
+    assert "does not name its map" in error

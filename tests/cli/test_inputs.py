@@ -67,7 +67,7 @@ def test_a_map_is_named_again_by_its_text(named):
 
 @pytest.mark.parametrize("text", ["", "a.png --resolution", "a.png --resolution=x", "a.png --frame=1", "a.png 'b"])
 def test_a_text_that_names_no_map_is_refused(text):
-    with pytest.raises(ValueError, match="expected a map and options"):
+    with pytest.raises(ValueError, match="expected a map and its options"):
         NamedMap.parse(text)
 
 
@@ -94,9 +94,13 @@ OPTIONS = {"resolution": 0.05, "polygons": "free", "drop_specks": 3}
         (
             "grid.map",
             OPTIONS,
-            r"--resolution, --drop-specks, --polygons is no option of .*; they have none of these\.",
+            r"expected options of .* \(none\), got --resolution, --drop-specks, --polygons\.",
         ),
-        ("scan.yaml", OPTIONS, r"scan.yaml: --resolution, --polygons is no option of .*; they have --drop-specks\."),
+        (
+            "scan.yaml",
+            OPTIONS,
+            r"scan.yaml: expected options of .* \(--drop-specks\), got --resolution, --polygons\.",
+        ),
         ("a.png", {"threshold": 0.9}, "No pixel"),
     ],
 )

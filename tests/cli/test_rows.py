@@ -82,9 +82,9 @@ def test_numbers_that_are_not_finite_are_numbers(text, capsys):
             for text in ("", "\n\n", "x,y", " \r\n")
         ),
         ("x,y\n", "p has no points"),
-        (b"\xff\xfe1\x00,\x002\x00", "p is not a text file"),
-        (b"\x00\x01\n1,2\n", "p is not a text file"),
-        ("1,2\n" + "1" * 250, "p, line 2: longer than 100 bytes"),
+        (b"\xff\xfe1\x00,\x002\x00", "p must be a text file"),
+        (b"\x00\x01\n1,2\n", "p must be a text file"),
+        ("1,2\n" + "1" * 250, "p, line 2: expected at most 100 bytes"),
     ],
 )
 def test_what_is_no_table_is_refused(data, message, monkeypatch):
@@ -96,7 +96,7 @@ def test_what_is_no_table_is_refused(data, message, monkeypatch):
 def test_of_many_bad_rows_few_are_told(capsys):
     read("x\n" * 2 + "1,2\n" + "0\n" * 100)
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 12 and lines[-1] == "Warning: p has 101 rows that are no points."
+    assert len(lines) == 12 and lines[-1] == "Warning: p has 101 rows that are not points."
 
 
 @given(

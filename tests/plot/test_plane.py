@@ -88,7 +88,7 @@ def test_values_inside_obstacles_set_no_scale():
     right_blocked = Workspace(((0, 0), (2, 1)), [[(0.5, -1), (3, -1), (3, 2), (0.5, 2)]])
     image = plot.plot_contours(ThreeCells(), workspace=right_blocked, resolution=20).images[0]
     assert image.get_clim() == (0.0, pytest.approx(0.45 + 2 * 0.95))
-    with pytest.raises(ValueError, match="no point has an answer"):
+    with pytest.raises(ValueError, match="no point in free space has"):
         plot.plot_contours(ThreeCells(), workspace=Workspace(((1, 0.5), (2, 1))))
 
 
@@ -170,7 +170,7 @@ def test_a_surface_without_answers_is_refused():
         def values_in_leaves(self, leaf, x):
             return np.full(len(x), np.inf)
 
-    with pytest.raises(ValueError, match="no leaf has an answer"):
+    with pytest.raises(ValueError, match="no leaf in free space has"):
         plot.plot_surface(Empty())
 
 

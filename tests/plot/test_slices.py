@@ -152,11 +152,11 @@ def test_errors_of_a_slice():
         (lambda: plot.plot_contours(Sum(), at={3: 0.0}), "at must map axes to coordinates"),
         (lambda: plot.plot_contours(Sum(), at={1: 5.0}), "at must lie in Box"),
         (lambda: plot.plot_contours(Sum(), at={2: math.nan}), "finite"),
-        (lambda: plot.plot_contours(Sum(), at={1: 1.0}, workspace=ROOM), "belong to axes 0 and 1"),
-        (lambda: plot.plot_contours(OfAngles(), space=BODY), "space of 2 dimensions was expected, got 3"),
-        (lambda: plot.plot_contours(Sum(), at={2: 0.0}, space=BODY, workspace=ROOM), "Either a workspace or a space"),
+        (lambda: plot.plot_contours(Sum(), at={1: 1.0}, workspace=ROOM), "needs axes 0 and 1"),
+        (lambda: plot.plot_contours(OfAngles(), space=BODY), "Expected a space of 2 dimensions, got 3"),
+        (lambda: plot.plot_contours(Sum(), at={2: 0.0}, space=BODY, workspace=ROOM), "either a workspace or a space"),
         (lambda: plot.plot_contours(Sum(), at={2: 0.0}, goal=(1, 1)), r"goal must be one point of shape \(3,\)"),
-        (lambda: plot.plot_cells(Sum(), at={1: 1.0}, workspace=ROOM), "belong to axes 0 and 1"),
+        (lambda: plot.plot_cells(Sum(), at={1: 1.0}, workspace=ROOM), "needs axes 0 and 1"),
     ],
 )
 def test_a_callers_mistakes(draw, message):

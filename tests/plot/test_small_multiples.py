@@ -103,12 +103,12 @@ def test_slices_are_pictures_without_anything_outside_of_them(tmp_path):
         (Ramp(), {"axis": -1}, "axis must be an integer >= 0, got -1"),
         (Ramp(), {"count": 0}, "count must be an integer >= 1, got 0"),
         (Ramp(), {"count": 65}, "count at most 64, got 2 and 65"),
-        (Ramp(), {"at": {2: 1.0}}, "at must leave out axis 2, across which slices are cut"),
+        (Ramp(), {"at": {2: 1.0}}, "at must leave out axis 2, along which slices are stacked"),
         (Ramp(), {"at": {0: 1.0}}, "must fix 1 of 3 coordinates, got 2"),
         (Turned(), {}, "must fix 3 of 5 coordinates, got 1"),
         (Turned(), {"at": {0: 5, 1: 0.5}}, "at must lie in Box"),
         (Ramp(), {"goal": (1, 1)}, r"goal must be one point of shape \(3,\)"),
-        (Turned(), {"at": {0: 1, 1: 0.5}, "space": LEFT}, "space of 5 dimensions was expected, got 3"),
+        (Turned(), {"at": {0: 1, 1: 0.5}, "space": LEFT}, "Expected a space of 5 dimensions, got 3"),
         (Ramp(), {"space": ClearanceSpace(Ramp.domain, lambda q: -np.ones(len(q)), 0)}, "There is nothing to draw"),
     ],
 )
@@ -121,5 +121,5 @@ def test_a_function_of_the_plane_has_no_slices():
     class Flat(Ramp):
         domain = Box((0, 0), (1, 1))
 
-    with pytest.raises(ValueError, match="three dimensions or more, got 2: plot_contours"):
+    with pytest.raises(ValueError, match="three dimensions or more, got 2: use plot_contours"):
         plot.slices(Flat())
