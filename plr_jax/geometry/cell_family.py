@@ -70,7 +70,7 @@ class SharedSources:
 
     @property
     def turn(self) -> Int[np.ndarray, "sources"]:
-        """Turn of each source, -1 for goals."""
+        """Index of the turn point of each source, -1 for goals."""
         return np.where(self.kind < self._num_turns, self.kind, -1)
 
     @property

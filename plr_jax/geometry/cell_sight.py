@@ -131,11 +131,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend.
-
-    They hold for any path onward: a point may use one if both walls of the corner lie on one side of the line
-    between.
-    """
+    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -163,10 +159,7 @@ class SightedSources:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar.
-
-    ``has_goal`` says whether distances of the sources to a goal are known.
-    """
+    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar."""
 
     source_table: Any
     shadows: Shadows
@@ -382,8 +375,8 @@ class CellSources:
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
         """Compute the distances of changed centers, and drop sources that are nowhere in the piece the best.
 
-        A source is dropped if another one, or a path through the center, is shorter from every point of the piece. A
-        center without a visible source keeps the bound of its distance.
+        A source is also dropped if a path through the center is shorter from every point of the piece. A center
+        without a visible source keeps the bound of its distance.
         """
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.

@@ -66,12 +66,8 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-# Candidates: a path from a point starts with a straight segment to one of many candidates, such as corners. The
-# functions below find the shortest path whose first segment is free, with few visibility tests.
-
-
 Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Visibility test of pairs: indices of points and indices of candidates."""
+"""Visibility test of points and candidates for the first vertex of a path from each, both by index."""
 
 
 def first_visible(

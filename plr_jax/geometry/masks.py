@@ -283,8 +283,7 @@ def placed_region(
 def rounded_one_by_one(region: Any, grid: float) -> Any:
     """Round each vertex of a placed region to a grid, faster than ``shapely.set_precision``.
 
-    That also looks for edges that meet after rounding. Here none can: edges keep a quarter of a pixel from one
-    another, and vertices move by less than a thousandth.
+    Unlike that, it assumes that no edges meet after rounding: they keep a quarter of a pixel from one another.
     """
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 

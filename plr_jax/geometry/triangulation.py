@@ -23,8 +23,8 @@ from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 class Locator:
     """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
 
-    ``lines`` holds, for each side of a triangle, its inward unit normal and the normal's product with a point of the
-    side.
+    ``lines`` holds, for each side of a triangle, its inward unit normal and its offset, the normal times a side
+    point.
     """
 
     lo: Float[np.ndarray, "2"]
@@ -202,10 +202,7 @@ class Triangulation:
         return Places(x, triangle, turn == 0)
 
     def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path joins each pair of points within a tolerance of the segment between them.
-
-        With ``squeeze`` a path may pass through point contacts; without, only end at them.
-        """
+        """Return whether a free path joins each pair of points near its segment, through contacts if ``squeeze``."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)

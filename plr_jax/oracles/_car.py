@@ -41,7 +41,6 @@ class Word(NamedTuple):
 
     @property
     def length(self) -> Batch:
-        """Length of the whole path."""
         return reduce(np.add, map(np.abs, self.segments))
 
 

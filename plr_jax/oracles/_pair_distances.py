@@ -38,13 +38,11 @@ class _CornerLists:
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
-        """Return the lists of some points, which may be repeated."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _CornerLists(first, self.corner[entry], self.leg[entry])
 
     def filter(self, kept: Bool[np.ndarray, "entries"]) -> "_CornerLists":
-        """Return the lists with only the entries to keep."""
         return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
 
 
@@ -64,7 +62,7 @@ class PairDistances:
 
     @cached_property
     def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
-        """Whether the distances from each corner to all corners are known, and these."""
+        """A table of distances between corners, and flags that say which of its rows are known."""
         return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
     def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:

@@ -165,7 +165,6 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
-        """Data that decide which sources pieces of free space may use."""
         table = joined_tables([self._goal_table, self._corners.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
