@@ -82,7 +82,7 @@ class SharedSources:
 
 
 class FamilySources(CellSources):
-    """The sources of cells of several goals; cells that differ by a constant only are stored once."""
+    """The sources of cells of several goals; cells whose distances differ only by a constant are stored once."""
 
     is_family: ClassVar[bool] = True
 

@@ -408,7 +408,7 @@ class CellSources:
 
 
 def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return the sight data of one goal; its sources are the goal, then the corners."""
+    """Return the :class:`Sight` of one goal, whose sources are the goal, then the corners."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
@@ -422,7 +422,7 @@ def lists_of_goal(regions: TurnRegions) -> SourceLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the sight data for any goal: the sources are the turns of :func:`turns_by_side`, without distances."""
+    """Return the :class:`Sight` for any goal; its sources are the turns of :func:`turns_by_side`."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)

@@ -73,7 +73,7 @@ Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]],
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return the ``count`` best visible candidates of each point, and the path lengths through them.
+    """Return, for each point, the ``count`` visible candidates of least path length, and these lengths.
 
     Args:
         lengths: Path length from each point through each candidate, modified in place. NaN: not a candidate; ``inf``:
@@ -128,7 +128,7 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the best visible candidate of each point, as an index of ``lengths`` (-1: none), and its length.
+    """Return each point's visible candidate of least path length, as an index of ``lengths`` or -1, and its length.
 
     ``lengths`` lists the path lengths through each point's candidates, point by point, and is modified in place;
     ``counts`` are the numbers of candidates. ``sees`` tests indices of points and of ``lengths``.

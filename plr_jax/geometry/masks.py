@@ -113,7 +113,7 @@ class _Stations:
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Return outlines of links that differ from what they replace by less than a tolerance, in pixels."""
+    """Simplify outlines: links replace stretches of outline that stay within a tolerance, in pixels."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)

@@ -86,7 +86,7 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of a counterclockwise arc from offset ``start`` to offset ``end``."""
+    """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

@@ -66,7 +66,7 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        """Whether each cell is free; the index of points outside the grid is included."""
+        """Whether each cell is free, with False at the index that stands for points outside the grid."""
 
     @property
     @abstractmethod
@@ -76,7 +76,7 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _to_goal(self) -> Distances:
-        """Distance of each cell to the goal; the index of points outside the grid is included."""
+        """Distance of each cell to the goal, with ``inf`` at the index that stands for points outside the grid."""
 
     @abstractmethod
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:

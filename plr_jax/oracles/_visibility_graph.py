@@ -387,7 +387,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
 def _triangle_sources(
     oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
 ) -> TriangleSources:
-    """Return the pairs of an oracle; the goal, which has not changed, is a source of triangles that it may see."""
+    """Return an oracle's pairs of a triangle and a source; the goal is a source of all triangles that it may see."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
     seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
