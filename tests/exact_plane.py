@@ -59,7 +59,7 @@ def _is_in(sector: Sector, v: Vector) -> bool:
 
 
 def _compare(u: Vector, v: Vector) -> int:
-    """Negative if ``u`` comes before ``v`` counterclockwise, from the positive x axis on."""
+    """Compare directions counterclockwise from the positive x axis on; negative if ``u`` comes first."""
     half = [w[1] < 0 or (w[1] == 0 and w[0] < 0) for w in (u, v)]
     return half[0] - half[1] or -_cross(u, v)
 
@@ -203,7 +203,7 @@ class ExactPlane:
         return np.array([min(each, default=np.inf) for each in reached])
 
     def near(self, x: Any, radius: float) -> list[tuple[Fraction, ...]]:
-        """The nearest point of each wall within a radius, and its ends: what may be across a wall or a contact."""
+        """Return the ends and nearest points of walls within a radius, which may lie across a wall or contact."""
         x, found = as_exact(x), []
         place = as_floats([x])[0]
         for (a, b), (start, end) in zip(self.edges, self._ends, strict=True):

@@ -164,11 +164,11 @@ class Judge:
 
     @cached_property
     def rounded(self) -> ExactPlane:
-        """The plane as the workspace rounds it."""
+        """The plane after rounding by the workspace."""
         return ExactPlane(self.boundary)
 
     def interval(self, plane: ExactPlane, x: Any, y: Any, radius: float) -> tuple[float, float]:
-        """Least and largest distance of the points that are as near."""
+        """Return the least and largest distance between points within a radius of both ends."""
         ends = [y, *plane.near(y, radius)]
         values = np.concatenate([plane.distances(each, ends) for each in [x, *plane.near(x, radius)]])
         return float(values.min()), float(values.max())
@@ -176,7 +176,7 @@ class Judge:
     def values(
         self, name: str, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, slack: float, radius: float
     ):
-        """Count values that are wrong."""
+        """Count wrong values."""
         self.counts[f"{name}: asked"] += len(x)
         with np.errstate(invalid="ignore"):
             doubtful = ~((got == exact) | (np.abs(got - exact) <= slack))
@@ -196,7 +196,7 @@ class Judge:
         self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius)
 
     def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
-        """Whether two walls, or both walls of a tip, are as near."""
+        """Return whether two walls, or both walls of a thin tip, are within the radius."""
         near = self.boundary[shapely.dwithin(shapely.linestrings(self.boundary), shapely.Point(x), radius)]
         for one in near:
             for other in near:
