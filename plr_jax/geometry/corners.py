@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_ragged
-from plr_jax.geometry.triangulation import Places, Triangulation
+from plr_jax.geometry.triangulation import LocatedPoints, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
@@ -204,7 +204,7 @@ class TurnRegions:
     turn: Int[np.ndarray, "entries"]
 
     def first_visible(
-        self, x: Float[np.ndarray, "n 2"], places: Places, sees: Sees
+        self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Return the first vertex of the shortest path from each point, or -1, and the path's length, or ``inf``."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
@@ -239,7 +239,7 @@ def views_by_triangle(
 
 
 def triangles_at(
-    triangulation: Triangulation, places: Places
+    triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
     """Return the points that are not at vertices, and the one or two triangles of each, with offsets."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
