@@ -53,8 +53,8 @@ SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.nda
 class Shadows:
     """The shadows around viewpoints, sorted by viewpoint and direction.
 
-    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index;
-    ``unit`` is the direction as a unit vector, and ``start`` and ``end`` are distances from the viewpoint.
+    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index.
+    ``unit`` is its direction as a unit vector; ``start`` and ``end`` are distances from the viewpoint.
     """
 
     table: VisibilityTable
