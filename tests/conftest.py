@@ -31,7 +31,7 @@ hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, m
 hypothesis.settings.register_profile("full", deadline=None, derandomize=True, max_examples=100)
 hypothesis.settings.load_profile("quick")
 
-# Files with slow tests start first, so that no worker is left with one of them at the end.
+# Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.
 _LONG = ("test_notebooks.py", "test_experiments.py", "test_readme.py", "test_solve.py")
 
 

@@ -223,7 +223,7 @@ class Slice:
         shown = [axis for axis in range(domain.dim) if axis not in at]
         if len(shown) != 2:
             raise ValueError(
-                f"A picture has 2 axes, so at must fix {domain.dim - 2} of {domain.dim} coordinates, got {len(at)}."
+                f"A picture has two axes, so at must fix {domain.dim - 2} of {domain.dim} coordinates, got {len(at)}."
             )
         point = (domain.lo + domain.hi) / 2
         point[list(at)] = as_finite_point("The coordinates of at", list(at.values())) if at else []

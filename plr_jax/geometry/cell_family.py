@@ -70,7 +70,7 @@ class SharedSources:
 
     @property
     def turn(self) -> Int[np.ndarray, "sources"]:
-        """Turn of each source, -1 for goals."""
+        """Index of the turn point of each source, -1 for goals."""
         return np.where(self.kind < self._num_turns, self.kind, -1)
 
     @property
@@ -82,7 +82,7 @@ class SharedSources:
 
 
 class FamilySources(CellSources):
-    """The sources of cells of several goals; cells that differ by a constant only are stored once."""
+    """The sources of cells of several goals; cells whose distances differ only by a constant are stored once."""
 
     is_family: ClassVar[bool] = True
 

@@ -53,8 +53,8 @@ SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.nda
 class Shadows:
     """The shadows around viewpoints, sorted by viewpoint and direction.
 
-    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index;
-    ``unit`` is the direction as a unit vector, and ``start`` and ``end`` are distances from the viewpoint.
+    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index.
+    ``unit`` is its direction as a unit vector; ``start`` and ``end`` are distances from the viewpoint.
     """
 
     table: VisibilityTable
@@ -131,11 +131,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend.
-
-    They hold for any path onward: a point may use one if both walls of the corner lie on one side of the line
-    between.
-    """
+    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -163,10 +159,7 @@ class SightedSources:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar.
-
-    ``has_goal`` says whether distances of the sources to a goal are known.
-    """
+    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar."""
 
     source_table: Any
     shadows: Shadows
@@ -382,8 +375,8 @@ class CellSources:
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
         """Compute the distances of changed centers, and drop sources that are nowhere in the piece the best.
 
-        A source is dropped if another one, or a path through the center, is shorter from every point of the piece. A
-        center without a visible source keeps the bound of its distance.
+        A source is also dropped if a path through the center is shorter from every point of the piece. A center
+        without a visible source keeps the bound of its distance.
         """
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
@@ -415,7 +408,7 @@ class CellSources:
 
 
 def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return the sight data of one goal; its sources are the goal, then the corners."""
+    """Return the :class:`Sight` of one goal, whose sources are the goal, then the corners."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
@@ -429,7 +422,7 @@ def lists_of_goal(regions: TurnRegions) -> SourceLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the sight data for any goal: the sources are the turns of :func:`turns_by_side`, without distances."""
+    """Return the :class:`Sight` for any goal; its sources are the turns of :func:`turns_by_side`."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)

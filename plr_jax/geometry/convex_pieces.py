@@ -159,7 +159,7 @@ Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest value of the first cone minus the second over each piece, up to rounding."""
+    """Return the smallest and largest value of ``offset + |x - apex|`` minus another cone over each piece."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -187,7 +187,7 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbe
 def cone_above_plane(
     pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest value of a cone minus a plane ``slope . x + intercept`` over each piece."""
+    """Return the smallest and largest value of a cone minus the plane ``slope . x + intercept`` over each piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_ragged
-from plr_jax.geometry.triangulation import Places, Triangulation
+from plr_jax.geometry.triangulation import LocatedPoints, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
@@ -73,10 +73,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners of a workspace, the same as viewpoints, their visibility polygons, and the visibility graph.
-
-    ``edges`` lists pairs of corners that see one another, except lines that are tangent at neither end.
-    """
+    """The corners of a workspace, the same as viewpoints, their visibility polygons, and the visibility graph."""
 
     corners: ReflexCorners
     views: Viewpoints
@@ -207,12 +204,9 @@ class TurnRegions:
     turn: Int[np.ndarray, "entries"]
 
     def first_visible(
-        self, x: Float[np.ndarray, "n 2"], places: Places, sees: Sees
+        self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first vertex of the shortest path from each point, and its length; -1 and ``inf`` without one.
-
-        ``places`` are the same points, located. At a vertex, where many triangles meet, all turn points are tried.
-        """
+        """Return the first vertex of the shortest path from each point, or -1, and the path's length, or ``inf``."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
@@ -226,6 +220,7 @@ class TurnRegions:
                 lengths, counts[part], lambda at, pair, rows=rows, vertices=vertices: sees(rows[at], vertices[pair])
             )
             vertex[rows] = np.append(vertices, -1)[pair]
+        # At a vertex, where many triangles meet, points try all turn points.
         rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
         vertex[rest], length[rest] = self.turns.first_visible(
             x[rest], lambda point, vertex: sees(rest[point], vertex)
@@ -244,7 +239,7 @@ def views_by_triangle(
 
 
 def triangles_at(
-    triangulation: Triangulation, places: Places
+    triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
     """Return the points that are not at vertices, and the one or two triangles of each, with offsets."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)

@@ -66,18 +66,14 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-# Candidates: a path from a point starts with a straight segment to one of many candidates, such as corners. The
-# functions below find the shortest path whose first segment is free, with few visibility tests.
-
-
 Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Visibility test of pairs: indices of points and indices of candidates."""
+"""Visibility test of points and candidates for the first vertex of a path from each, both by index."""
 
 
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return the ``count`` best visible candidates of each point, and the path lengths through them.
+    """Return, for each point, the ``count`` visible candidates of least path length, and these lengths.
 
     Args:
         lengths: Path length from each point through each candidate, modified in place. NaN: not a candidate; ``inf``:
@@ -132,7 +128,7 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the best visible candidate of each point, as an index of ``lengths`` (-1: none), and its length.
+    """Return each point's visible candidate of least path length, as an index of ``lengths`` or -1, and its length.
 
     ``lengths`` lists the path lengths through each point's candidates, point by point, and is modified in place;
     ``counts`` are the numbers of candidates. ``sees`` tests indices of points and of ``lengths``.

@@ -113,7 +113,7 @@ class _Stations:
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Return outlines of links that differ from what they replace by less than a tolerance, in pixels."""
+    """Simplify outlines: links replace stretches of outline that stay within a tolerance, in pixels."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
@@ -283,8 +283,7 @@ def placed_region(
 def rounded_one_by_one(region: Any, grid: float) -> Any:
     """Round each vertex of a placed region to a grid, faster than ``shapely.set_precision``.
 
-    That also looks for edges that meet after rounding. Here none can: edges keep a quarter of a pixel from one
-    another, and vertices move by less than a thousandth.
+    Unlike that, it assumes that no edges meet after rounding: they keep a quarter of a pixel from one another.
     """
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 

@@ -23,8 +23,8 @@ from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 class Locator:
     """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
 
-    ``lines`` holds, for each side of a triangle, its inward unit normal and the normal's product with a point of the
-    side.
+    ``lines`` holds, for each side of a triangle, its inward unit normal and its offset, the normal times a side
+    point.
     """
 
     lo: Float[np.ndarray, "2"]
@@ -67,15 +67,15 @@ _BITS = 46  # bits of integer coordinates: they resolve the grid to which a work
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class LocatedPoints:
     """Points of the grid, a triangle that contains each, and whether the point lies on each side of that triangle."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]
     on_side: Bool[np.ndarray, "n 3"]
 
-    def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "Places":
-        return Places(self.x[rows], self.triangle[rows], self.on_side[rows])
+    def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "LocatedPoints":
+        return LocatedPoints(self.x[rows], self.triangle[rows], self.on_side[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class Triangulation:
             triangle[pending] = twin[np.arange(len(pending)), side] // 3
         return triangle, turn
 
-    def place(self, x: Float[np.ndarray, "n 2"]) -> "Places":
+    def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
         A point within the tolerance of a point contact moves to the contact and counts as on all of its sides.
@@ -199,13 +199,12 @@ class Triangulation:
             away[~self.is_contact[triangle]] = np.inf
             near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
             x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
-        return Places(x, triangle, turn == 0)
+        return LocatedPoints(x, triangle, turn == 0)
 
-    def are_joined(self, a: Places, b: Places, tolerance: float, squeeze: bool) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path joins each pair of points within a tolerance of the segment between them.
-
-        With ``squeeze`` a path may pass through point contacts; without, only end at them.
-        """
+    def are_joined(
+        self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
+    ) -> Bool[np.ndarray, "n"]:
+        """Return whether a free path joins each pair of points near its segment, through contacts if ``squeeze``."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)

@@ -18,11 +18,8 @@ _DOUBT = 2.0**-50  # relative rounding error of a difference of two products, wi
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.ndarray, "*batch"]:
-    """Compute cross products whose sign is exact for integers of at most 45 bits times one power of two.
-
-    References:
-        Dekker, "A floating-point technique for extending the available precision" (1971).
-    """
+    """Compute cross products whose sign is exact for integers of at most 45 bits times one power of two."""
+    # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
     doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
@@ -89,7 +86,7 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of a counterclockwise arc from offset ``start`` to offset ``end``."""
+    """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

@@ -130,10 +130,7 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
-        """Return whether closed boxes touch edges or corners at which blocked voxels touch, which no path can pass.
-
-        Around a point of such an edge, free voxels are not connected through faces.
-        """
+        """Return whether closed boxes touch edges or corners at which blocked voxels touch: no path passes."""
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
@@ -166,11 +163,7 @@ class VoxelGrid:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """A summed-area table of a boolean array, which counts the true entries of any range.
-
-    References:
-        F. Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
-    """
+    """A summed-area table of a boolean array (Crow, SIGGRAPH 1984), which counts the true entries of any range."""
 
     table: Int[np.ndarray, "..."]
     strides: Int[np.ndarray, "dim"]

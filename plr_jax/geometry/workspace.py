@@ -379,15 +379,7 @@ class Workspace:
         return numbers
 
     def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
-        """Draw points uniformly from free space.
-
-        Args:
-            n: Number of points, at least 0.
-            seed: Seed of the generator; the same seed gives the same points.
-
-        Returns:
-            Free points, ``(n, 2)``.
-        """
+        """Draw ``n`` points uniformly from free space, ``(n, 2)``; the same seed gives the same points."""
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)
         # Sample triangles; rejection from the bounds would take forever if free space is a sliver.

@@ -41,7 +41,6 @@ class Word(NamedTuple):
 
     @property
     def length(self) -> Batch:
-        """Length of the whole path."""
         return reduce(np.add, map(np.abs, self.segments))
 
 
@@ -114,8 +113,8 @@ class _Car(ABC):
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         """Yield words that start with a left turn; one of them, or of their mirror images, is a shortest path.
 
-        ``to_left`` and ``to_right`` lead from the left circle at the beginning to the left and right circle at the
-        end, with 2 added to the ``y`` of ``to_right``; ``heading`` is that at the end.
+        ``to_left`` and ``to_right`` lead from the left circle at the beginning to the left and the right circle at
+        the end; ``to_right`` has 2 added to its ``y``. ``heading`` is that at the end.
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:

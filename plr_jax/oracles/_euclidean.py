@@ -39,14 +39,7 @@ class Euclidean:
         return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of each point to the goal.
-
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Distances, ``(n,)``; ``inf`` for points with a coordinate that is not finite.
-        """
+        """Return the distance of points ``(n, dim)`` to the goal, ``inf`` if a coordinate is not finite."""
         distance = np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
         return np.where(np.isnan(distance), np.inf, distance)
 
@@ -86,24 +79,13 @@ class NearestGoal:
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of each point to the nearest goal.
-
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Distances, ``(n,)``; ``inf`` where no goal can be reached.
-        """
+        """Return the distance of points ``(n, dim)`` to the nearest goal, ``inf`` where no goal can be reached."""
         return self._distances(x).min(axis=0)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal that is nearest to each point.
+        """Return the index of the goal that is nearest to each point ``(n, dim)``.
 
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Indices, ``(n,)``: the first of equally near goals, -1 where no goal can be reached.
+        The index is the first of equally near goals, and -1 where no goal can be reached.
         """
         distances = self._distances(x)
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)

@@ -66,7 +66,7 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        """Whether each cell is free; the index of points outside the grid is included."""
+        """Whether each cell is free, with False at the index that stands for points outside the grid."""
 
     @property
     @abstractmethod
@@ -76,7 +76,7 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _to_goal(self) -> Distances:
-        """Distance of each cell to the goal; the index of points outside the grid is included."""
+        """Distance of each cell to the goal, with ``inf`` at the index that stands for points outside the grid."""
 
     @abstractmethod
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
@@ -109,8 +109,8 @@ class GridGraph(_CellGraph):
     benchmarks and, with 4 neighbors, of the League of Robot Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
-    :func:`scenes.read_map`; integers are the columns and rows of ``.scen`` files. All points of a cell have the same
-    distance.
+    :func:`scenes.read_map`. So integers are the columns and rows of ``.scen`` files. All points of a cell have the
+    same distance.
 
     Args:
         free: Whether each cell is free, ``(rows, columns)``, as :func:`scenes.read_cells` reads a ``.map`` file.
@@ -207,12 +207,12 @@ class GridGraph(_CellGraph):
 class VoxelGraph(_CellGraph):
     """Exact length of shortest paths from voxel to voxel, a `DistanceFn`.
 
-    A step leads from a voxel's center to the center of a neighbor: across one of 6 faces, with 18 moves also across
-    one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step spans must be
-    free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
+    A step leads from a voxel's center to the center of a neighbor across one of its 6 faces. With 18 moves, it may
+    also lead across one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step
+    spans must be free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
 
     A point can follow any path over 26 neighbors. So the length is never below that of the shortest path of any angle
-    between the two centers; in open space, for cubes, it is at most 12.9 % above it. A point on a face between two
+    between the two centers. In open space, for cubes, it is at most 12.9 % above it. A point on a face between two
     voxels belongs to the upper one, a point on an upper bound to the last one.
 
     Args:
@@ -313,10 +313,10 @@ class GridField:
     """Distances from another library at the cell centers of a grid, interpolated between them.
 
     The **last** axis of the array runs along the first coordinate of a point, and its first axis along the last
-    coordinate: ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row, row 0
-    at the lowest ``y``, as in :meth:`Box.grid`. This is the layout of scikit-fmm over a ``meshgrid`` and of xarray
-    with ascending dimensions ``("y", "x")``. For a raster with row 0 at the top give ``values[::-1]``, for a table
-    ``[x, y, ...]`` give ``values.T``.
+    coordinate. In 2-D, ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row,
+    row 0 at the lowest ``y``, as in :meth:`Box.grid`. This is the layout of scikit-fmm over a ``meshgrid`` and of
+    xarray with ascending dimensions ``("y", "x")``. For a raster with row 0 at the top give ``values[::-1]``, for a
+    table ``[x, y, ...]`` give ``values.T``.
 
     Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
     the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is

@@ -27,25 +27,23 @@ _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 @dataclass(frozen=True, eq=False)
 class _CornerLists:
-    """For each point, the corners at which paths from it may turn first, and their distances ``leg`` from it."""
+    """For each point, the corners at which paths from it may turn first, and their distances from it."""
 
     first: Int[np.ndarray, "points_plus_one"]
     corner: Int[np.ndarray, "entries"]
-    leg: Float[np.ndarray, "entries"]
+    distance: Float[np.ndarray, "entries"]
 
     @cached_property
     def point(self) -> Int[np.ndarray, "entries"]:
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
-        """Return the lists of some points, which may be repeated."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
-        return _CornerLists(first, self.corner[entry], self.leg[entry])
+        return _CornerLists(first, self.corner[entry], self.distance[entry])
 
     def filter(self, kept: Bool[np.ndarray, "entries"]) -> "_CornerLists":
-        """Return the lists with only the entries to keep."""
-        return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
+        return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.distance[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ class PairDistances:
 
     @cached_property
     def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
-        """Whether the distances from each corner to all corners are known, and these."""
+        """A table of distances between corners, and flags that say which of its rows are known."""
         return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
     def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
@@ -120,7 +118,7 @@ class PairDistances:
     def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
         """Return lower bounds of path lengths through corners: straight to each, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
-        return lists.leg + np.linalg.norm(to_other, axis=1)
+        return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
         """Return the length of the shortest path of each pair through one corner of each of its lists."""
@@ -133,10 +131,10 @@ class PairDistances:
             for part in parts(counts, _WAYS):
                 entries = of_these[part]
                 last, way = take_ragged(at_y.first, at_x.point[entries])
-                onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.leg[last]
+                onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.distance[last]
                 first = np.append(0, np.cumsum(counts[part]))
                 length[entries] = _run_minima(onward, first)
-        return _run_minima(at_x.leg + length, at_x.first)
+        return _run_minima(at_x.distance + length, at_x.first)
 
     def _lists(self, x: Float[np.ndarray, "n 2"]) -> _CornerLists:
         """Return the corners that each point sees and at which a path from it may turn."""
@@ -147,8 +145,8 @@ class PairDistances:
         point, corner = np.repeat(np.arange(len(points)), counts), listed[take_ragged(begins, runs)[0]]
         kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
         kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
-        leg = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
-        return _CornerLists(np.append(0, np.cumsum(counts)), corner, leg).filter(kept).take(number)
+        distance = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
+        return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
         """Return the number of corners that may see each point, and the lists in ``_regions`` that have them."""

@@ -43,7 +43,6 @@ class Metric:
         return self.weights * self.domain.width
 
     def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
-        """Return the lengths of motions from ``a`` to ``b``."""
         return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
@@ -78,11 +77,10 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Return the connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, for at least 2 vertices.
+    """Return the connection radius ``gamma (log n / n)^(1/dim)`` of PRM* for ``n >= 2`` vertices.
 
-    References:
-        Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above
-        ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; here ``gamma`` equals this bound.
+    By Karaman and Frazzoli, IJRR 2011, section 3.3; ``gamma`` is the bound above which PRM* is asymptotically
+    optimal.
     """
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
@@ -109,7 +107,6 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
-    """Return pairs of vertices within the radius that see each other."""
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     with tqdm(total=len(pairs), desc="Roadmap edges", unit="edge", delay=3, disable=None) as progress:

@@ -165,7 +165,6 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
-        """Data that decide which sources pieces of free space may use."""
         table = joined_tables([self._goal_table, self._corners.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
@@ -338,11 +337,13 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     turn_of = np.full(len(after.distances) + 1, -1)
     turn_of[after._turns.vertex] = np.arange(len(after._turns.vertex))
     now = turn_of[source[before._turns.vertex]]
-    alike = now >= 0
-    alike[alike] = (after._turns.normal[:, now[alike]] == before._turns.normal[:, alike]).all(axis=(0, 2))
-    change_before = np.where(alike, source_change[before._turns.vertex], np.nan)
+    same_turn = now >= 0
+    same_turn[same_turn] = (after._turns.normal[:, now[same_turn]] == before._turns.normal[:, same_turn]).all(
+        axis=(0, 2)
+    )
+    change_before = np.where(same_turn, source_change[before._turns.vertex], np.nan)
     change_after = np.full(len(after._turns.vertex), np.nan)
-    change_after[now[alike]] = change_before[alike]
+    change_after[now[same_turn]] = change_before[same_turn]
     # 3. List pairs of a triangle and a source that may see a part of it.
     pairs_before = _triangle_sources(before, change_before, boxes)
     pairs_after = _triangle_sources(after, change_after, boxes)
@@ -388,7 +389,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
 def _triangle_sources(
     oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
 ) -> TriangleSources:
-    """Return the pairs of an oracle; the goal, which has not changed, is a source of triangles that it may see."""
+    """Return an oracle's pairs of a triangle and a source; the goal is a source of all triangles that it may see."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
     seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
