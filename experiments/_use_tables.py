@@ -28,7 +28,7 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"]) or "none"
     variants, starts = len(results["seeds"]), len(race["seeds"])
     return markdown(table, numbers=4) + (
-        f"\nMedians (worst) of {variants} variants of each scene (door, crowd: {starts}). Paper: Putman et al. "
+        f"\nMedian (worst) of {variants} variants of each scene, {starts} of door and crowd. Paper: Putman et al. "
         "Bound: the sum of the robots' own exact distances, without turns. OMPL: the best of its planners, for the "
         f"team at once or robot by robot, to a path that costs no more than ours ({starts} variants); `>`: none "
         f"in this time. OMPL's first path, of any cost, comes sooner in {sooner} of {len(race['summary'])} scenes "

@@ -32,7 +32,7 @@ hypothesis.settings.register_profile("full", deadline=None, derandomize=True, ma
 hypothesis.settings.load_profile("quick")
 
 # Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.
-_LONG = ("test_notebooks.py", "test_experiments.py", "test_readme.py", "test_solve.py")
+_LONG = ("test_notebooks.py", "test_experiments.py", "test_readme.py", "test_guides.py", "test_solve.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,8 +14,8 @@ In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run
 
 # What is called, and how
 
-Points `x` and `y` have the shape `(..., dim)`, one point a row, and answers the shape `(...)`. Oracles and costs
-take batches `(n, dim)` and run on the host, in NumPy. All others also work under `jax.jit`, unless the table says so.
+Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All others take
+points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except `plr_jax.NumpyPLR`.
 
 | class | call | answer |
 | --- | --- | --- |

@@ -77,7 +77,8 @@ Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` wa
 
 `plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
 `grad`. A PLR does not store walls, so a point in a wall also gets a number. `outside="clamp"` extends a PLR beyond
-its domain.
+its domain. Far from the origin, as in UTM coordinates, 32-bit points are too coarse: give NumPy's 64-bit points,
+outside `jit`.
 
 ```python
 import jax

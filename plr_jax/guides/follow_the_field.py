@@ -5,7 +5,7 @@
 | a field and the map | `plr_jax.descend` | paths that never cross a wall |
 | a PLR of cones, no map | `plr_jax.trace` | paths read from the file; a first leg may cut a corner |
 | a PLR of cones, one step at a time | `plr.waypoint(x)` | the point to go to next |
-| a PLR, inside `jit` | `jax.grad(plr)` | the slope; it leads into walls at corners |
+| a PLR, inside `jit` | `-jax.grad(plr)(x)` | a direction, which leads into walls at corners |
 | an exact oracle | `oracle.shortest_path(x)` | the exact path from one point |
 
 # Descend

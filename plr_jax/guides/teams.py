@@ -8,7 +8,7 @@ robots = [plr_jax.DiscRobot(0.4), plr_jax.DiscRobot(0.4)]
 problem = plr_jax.Problem(workspace, robots, starts=[(2, 2), (8, 2)], goals=[(8, 2), (2, 2)])
 solution = plr_jax.bl_plan(problem)
 
-print(solution.status, solution.cost, solution.factor)  # at most so many times the cost of the best path
+print(solution.status, solution.cost, solution.factor)  # factor: a proven limit of cost / optimal cost
 report = plr_jax.validate(problem, solution.path)
 assert report.valid, report.message
 print(solution.path.shape, solution.path_at(1.5))  # (steps, robots, dof); where all robots are at time 1.5
