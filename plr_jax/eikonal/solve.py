@@ -209,7 +209,7 @@ def _field(
         likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
     else:
         likely = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, likely, space)
+    return CostToGoField(program, solver.values, paths, likely, space, guide)
 
 
 # The first mesh has this share of the cells, but at least two: in one alone, flows to a goal in its middle cancel.

@@ -500,7 +500,9 @@ class LowerBound:
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
         first, *_ = fns
-        return replace(first.plr.stack([fn.plr for fn in fns]), bands=tuple((fn.plr.band, fn.plr._straight) for fn in fns))
+        return replace(
+            first.plr.stack([fn.plr for fn in fns]), bands=tuple((fn.plr.band, fn.plr._straight) for fn in fns)
+        )
 
 
 def from_bytes(data: bytes) -> PLR:

@@ -96,8 +96,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     return Pattern(u, weight)
 
 
-# Direction numbers of Joe and Kuo for the first axes: degree and inner coefficients of a primitive polynomial, and the
-# initial numbers. SciPy has them for 21,201 axes, but takes 0.35 s to import.
+# Direction numbers of Joe and Kuo for the first axes: degree and inner coefficients of a primitive polynomial, then
+# the initial numbers. SciPy has them for 21,201 axes, but takes 0.35 s to import.
 _DIRECTIONS = ((0, 0, ()), (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)))
 _SOBOL_BITS = 30
 
@@ -170,9 +170,7 @@ def least_squares(
     masked = masked_cells(weight)
     if len(masked):
         design, weight = pattern.design, weight[masked] * pattern.weight
-        plane[masked] = solve_planes(
-            normal_matrices(design, weight), row_products(weight * value[masked], design)
-        )
+        plane[masked] = solve_planes(normal_matrices(design, weight), row_products(weight * value[masked], design))
     return plane[:, 0], plane[:, 1:]
 
 
