@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
+from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
@@ -86,6 +87,7 @@ class CostToGoField:
         paths: The paths that bound the cost-to-go from above.
         likely: An estimate at the nodes of the mesh; ``inf`` where there is none.
         space: The configuration space.
+        guide: The estimate anywhere; None beyond three axes.
     """
 
     program: SlopeProgram
@@ -93,6 +95,7 @@ class CostToGoField:
     paths: NodePaths
     likely: Float[np.ndarray, "nodes"]
     space: ConfigurationSpace
+    guide: GridEstimate | None
 
     @property
     def mesh(self) -> Mesh:
@@ -315,7 +318,13 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
         model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain) + 4 * (domain.dim + 2)
     )
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
-    sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
+
+    def distances(x: Points) -> Numbers:
+        on_mesh = estimate(x)
+        on_grid = on_mesh if field is None or field.guide is None else field.guide(x)
+        return np.where(np.isfinite(on_grid), on_grid, on_mesh)
+
+    sampler = Sampler(distances, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     contents = DecodedFile(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field))
 

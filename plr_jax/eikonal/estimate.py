@@ -12,7 +12,6 @@ References:
     Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import gcd, prod
@@ -77,7 +76,6 @@ class GridEstimate:
         at_goal: The factor of the cost of motions at the goal, and the pulls there, or None.
         ratio: The cost-to-go over the cost of the straight motion to the goal, both at the costs of the goal.
         cost: The cost-to-go at each node; ``inf`` where no path leads to the goal.
-        onward: The motion from each node to the next one of its path, ``(*shape, dim)``; None if it was marched over.
     """
 
     space: ConfigurationSpace
@@ -85,7 +83,6 @@ class GridEstimate:
     at_goal: tuple[float, Float[np.ndarray, "2 1 dim"] | None]
     ratio: GridField
     cost: Costs
-    onward: Nodes | None
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         """Return the estimate at points of the domain; ``inf`` where no node around has a path to the goal."""
@@ -99,19 +96,6 @@ class GridEstimate:
     def largest(self) -> float:
         """The largest cost-to-go at a node; ``-inf`` if no node sees the goal."""
         return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
-
-    def along(self, x: Points, strides: Sequence[int]) -> Iterator[Points]:
-        """Follow paths from points toward the goal. Yield where they are after each of some numbers of steps."""
-        domain, box, shape = self.space.domain, self.ratio.bounds, np.array(self.cost.shape)
-        onward = self.onward
-        if onward is None:
-            onward = _steepest(self.cost, box.width / shape, domain.periodic)
-        for step in range(1, max(strides) + 1):
-            node = np.clip(((x - box.lo) / box.width * shape).astype(np.int64), 0, shape - 1)
-            x = x + onward[tuple(node.T)]
-            x = np.where(domain.periodic, domain.wrapped(x), np.clip(x, domain.lo, domain.hi))
-            if step in strides:
-                yield x
 
 
 def straight_costs(
@@ -170,7 +154,6 @@ def grid_estimate(
     straight[near] = (straight[near] + straight_costs(space, at_goal, change)) / 2
 
     # 3. The cost-to-go of all nodes.
-    onward = None
     if is_isotropic:
         _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
@@ -183,10 +166,10 @@ def grid_estimate(
         if cost_map is None:
             cost = np.minimum(cost, straight)
     else:
-        cost, onward = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, goal, side)
+        cost = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, side)
     of_straight = straight_costs(space, at_goal, to_goal).reshape(shape)
     ratio = np.divide(cost, of_straight, out=np.ones(shape), where=of_straight > 0)
-    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), cost, onward)
+    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), cost)
 
 
 def _grid(
@@ -325,21 +308,6 @@ def _marched(
     return cost
 
 
-def _steepest(cost: Costs, side: Sides, periodic: Sequence[bool]) -> Nodes:
-    """Return motions of one step down the cost-to-go, by the cheaper neighbor along each axis."""
-    descent, known = np.zeros((*cost.shape, cost.ndim)), np.where(np.isfinite(cost), cost, -np.inf)
-    for axis, wraps in enumerate(periodic):
-        fall = {}
-        for sign in (1, -1):
-            other = np.roll(cost, -sign, axis)
-            if not wraps:
-                other[(slice(None),) * axis + (-1 if sign > 0 else 0,)] = np.inf
-            fall[sign] = np.maximum(known - other, 0.0)
-        descent[..., axis] = np.where(fall[1] >= fall[-1], fall[1], -fall[-1]) / side[axis]
-    length = np.linalg.norm(descent / side, axis=-1, keepdims=True)
-    return np.divide(descent, length, out=np.zeros_like(descent), where=length > 0)
-
-
 def _over_stencil(
     space: ConfigurationSpace,
     cells: CellStates,
@@ -347,9 +315,8 @@ def _over_stencil(
     node: Nodes,
     costs: tuple[Costs, Any],
     straight: Costs,
-    goal: Float[np.ndarray, "dim"],
     side: Sides,
-) -> tuple[Costs, Nodes]:
+) -> Costs:
     """Find cheapest paths over edges of several steps within the axes of each block of the cost of motions."""
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
@@ -388,9 +355,4 @@ def _over_stencil(
     begin, end = np.concatenate([*begin, near]), np.concatenate([*end, np.full(len(near), num)])
     weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
     graph = csr_array((weight, (end, begin)), shape=(num + 1, num + 1))
-    total, previous = dijkstra(graph, indices=num, return_predecessors=True)
-    place = np.append(node.reshape(-1, len(shape)), goal[None], axis=0)
-    has_next = previous[:num] >= 0
-    way = np.zeros((num, len(shape)))
-    way[has_next] = domain.difference(place[previous[:num][has_next]], place[:num][has_next])
-    return total[:num].reshape(shape), way.reshape(*shape, -1)
+    return dijkstra(graph, indices=num)[:num].reshape(shape)

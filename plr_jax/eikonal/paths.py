@@ -19,14 +19,13 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, ragged_indices
-from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 # Rounds of straightening: at most so many, and no more if one gains less than this share of all costs.
-_ROUNDS, _ENOUGH = 24, 1e-5
+_ROUNDS, _ENOUGH = 24, 1e-4
 # Share of its cost by which a path must become cheaper.
 _GAIN = 1e-9
 # How far beyond a face the next cell is looked for, as a share of the domain.
@@ -35,8 +34,6 @@ _AHEAD = 2.0**-44
 _ROUNDING = 1e-10
 # Edges handled at a time, which bounds the memory.
 _EDGES_AT_ONCE = 1 << 18
-# Steps along the way of an estimate after which the nearest node is tried.
-_STRIDES = (2, 4, 8, 16, 32)
 # So many of the nearest nodes may go straight to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
@@ -65,22 +62,6 @@ class NodePaths:
 def graph_costs(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> Costs:
     """Costs of the cheapest ways along the graph from the nodes of a mesh to a goal; ``inf`` where there is none."""
     return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
-
-
-def guided_paths(
-    mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace, guide: GridEstimate
-) -> NodePaths:
-    """Short paths to a goal from the corners of free cells, on the ways of an estimate.
-
-    From each node straight motions lead along edges of the graph, and to nodes near its way, nearer ones and farther.
-    """
-    graph = _FreeGraph(mesh, costs, goal, space)
-    domain = mesh.domain
-    places = guide.along(domain.at(mesh.nodes), _STRIDES)
-    ahead = [graph.nearest((place - domain.lo) / domain.width) for place in places]
-    graph.join(np.tile(np.arange(graph.goal), len(ahead)), np.concatenate(ahead))
-    next_, leg = graph.cheapest_edges()
-    return NodePaths(graph.points, (1 + _ROUNDING) * _along(next_, leg), next_)
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> NodePaths:
@@ -115,13 +96,6 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
     return cost
 
 
-def _cheapest_of_each(begin: Edges, end: Edges, cost: EdgeCosts, num_nodes: int) -> tuple[Edges, Edges, EdgeCosts]:
-    """Sort edges, and keep the cheapest of several between two nodes."""
-    order = np.lexsort((cost, end, begin))
-    order = order[np.diff(begin[order].astype(np.int64) * num_nodes + end[order], prepend=-1) != 0]
-    return begin[order], end[order], cost[order]
-
-
 class _FreeGraph:
     """Corners of free cells, the goal last, and straight motions between those of one cell."""
 
@@ -146,22 +120,6 @@ class _FreeGraph:
             self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, self.goal)))
             self.cost = np.insert(self.cost, place, straight)
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # edge of each node that has some
-
-    def nearest(self, x: Float[np.ndarray, "n dim"]) -> Nodes:
-        """The nearest corners of the cells that hold fractions of the domain; the goal where it is as near."""
-        cell = self.mesh.locate(x)
-        upper = self.mesh.local(cell, x) > 0.5
-        node = self.mesh.corners[cell, upper @ (1 << np.arange(self.mesh.dim)[::-1])]
-        from_goal, from_node = (np.abs(x - self.points[at]).max(axis=-1) for at in (np.full(len(x), self.goal), node))
-        return np.where(from_goal <= from_node, self.goal, node)
-
-    def join(self, begin: Edges, end: Edges) -> None:
-        """Add straight motions between other nodes, where they stay in free cells."""
-        cost = self.straight_costs(begin, end)
-        some = np.isfinite(cost) & (begin != end)
-        begin, end = np.append(self.begin, begin[some]), np.append(self.end, end[some])
-        cost = np.append(self.cost, cost[some])
-        self.begin, self.end, self.cost = _cheapest_of_each(begin, end, cost, len(self.points))
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
@@ -208,8 +166,9 @@ class _FreeGraph:
             change = self._changes(a, b)
             middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
             cost = self.costs.of_motions(change, c, middle)
-            a, b, cost = _cheapest_of_each(a, b, cost, len(self.points))
-            yield a.astype(np.int32), b.astype(np.int32), cost
+            order = np.lexsort((cost, b, a))
+            order = order[np.diff(a[order] * len(self.points) + b[order], prepend=-1) != 0]  # the cheapest of several
+            yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""

@@ -18,7 +18,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
-from plr_jax.eikonal.paths import graph_costs, guided_paths, shortest_paths
+from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._construct import BuildOptions, construct
 from plr_jax.plr._plr import PLR
@@ -201,15 +201,12 @@ def _field(
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
     guide = grid_estimate(space, cost_map, domain.at(goal)) if mesh.dim <= MOST_AXES else None
-    if guide is None or cost_map is None:
-        paths = shortest_paths(mesh, program.costs, goal, space)
-    else:
-        paths = guided_paths(mesh, program.costs, goal, space, guide)
+    paths = shortest_paths(mesh, program.costs, goal, space)
     if guide is None:
         likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
     else:
         likely = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, likely, space)
+    return CostToGoField(program, solver.values, paths, likely, space, guide)
 
 
 # The first mesh has this share of the cells, but at least two: in one alone, flows to a goal in its middle cancel.

@@ -81,7 +81,7 @@ def bounds_of_tables(
         square = jnp.sum(jnp.square(above - goal), axis=-1)
         # At the goal a root of 0 would have no gradient.
         line = jnp.sqrt(jnp.maximum(square, jnp.finfo(value.dtype).tiny)) * rate[0] - margin[0]
-        lower = jnp.maximum(lower, line)
+        lower = jnp.maximum(lower, jnp.minimum(line, value))  # no bound excludes the answer
     return jnp.where(value < jnp.inf, lower, value), jnp.where(value < jnp.inf, upper, value)
 
 

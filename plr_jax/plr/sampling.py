@@ -85,8 +85,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     return Pattern(u, weight)
 
 
-# Direction numbers of Joe and Kuo for the first axes: degree and inner coefficients of a primitive polynomial, and the
-# initial numbers. SciPy has them for 21,201 axes, but takes 0.35 s to import.
+# Direction numbers of Joe and Kuo for the first axes: degree and inner coefficients of a primitive polynomial, then
+# the initial numbers. SciPy has them for 21,201 axes, but takes 0.35 s to import.
 _DIRECTIONS = ((0, 0, ()), (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)))
 _SOBOL_BITS = 30
 

@@ -33,7 +33,12 @@ _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 OPAQUE = 255
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
+<<<<<<< HEAD
 _PIXEL_IS_POINT = 1025, 0, 1, 2  # with this GeoTIFF key, raster coordinates refer to pixel centers
+=======
+_PIXEL_IS_POINT = 1025, 0, 1, 2  # a key of GeoTIFF, by which places in the raster are those of pixels' centers
+_IS_GEOGRAPHIC = 1024, 0, 1, 2  # a key of GeoTIFF, by which coordinates are longitudes and latitudes
+>>>>>>> h1
 _BLACK_IS_ZERO, _SIGNED = 1, 2
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 
@@ -277,6 +282,9 @@ def read_cost_map(
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
 
+    Warns:
+        UserWarning: If the coordinates of a GeoTIFF are degrees, in which lengths then are.
+
     References:
         https://docs.nav2.org/configuration/packages/configuring-map-server.html; OGC GeoTIFF Standard 1.1, 2019.
     """
@@ -326,8 +334,11 @@ def _read_factors(path: Path, interpolation: str) -> RasterCost:
     sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
     along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
     keys = np.ravel(tags.get(_GEO_KEYS, ()))
-    if [*_PIXEL_IS_POINT] in keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist():
+    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
+    if [*_PIXEL_IS_POINT] in keys:
         column, row = column + 0.5, row + 0.5
+    if [*_IS_GEOGRAPHIC] in keys:
+        warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=4)
     lo = x - column * along_x, y - (rows - row) * along_y
     require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
     hi = lo[0] + columns * along_x, lo[1] + rows * along_y

@@ -146,17 +146,6 @@ def test_climbing_evenly_costs_what_is_climbed():
     assert mean_error(grid_estimate(space, climbing, goal)(q), truth) < 0.015
 
 
-CLIMB = Climb(lambda q: np.broadcast_to((0.3, -0.2), q.shape), rate=1.0, lipschitz=0.0, steepest=0.4)
-
-
-@pytest.mark.parametrize("cost", [None, CLIMB])
-def test_paths_lead_to_the_goal(cost):
-    goal = np.array([0.1, 0.133])
-    estimate = grid_estimate(PlaneSpace(ROOM), cost, goal)
-    *_, last = estimate.along(ROOM.sample_free(100, 1), (50, 2_000))
-    assert np.abs(last - goal).max() < 0.05
-
-
 @pytest.mark.full
 def test_walls_in_space_are_gone_around_and_no_path_is_shorter_than_straight():
     """Walls as high as the domain, with a window: the distance is that of the plane and the height, by Pythagoras."""

@@ -15,7 +15,9 @@ from plr_jax import (
     RigidBodySpace,
     Roadmap,
     VisibilityGraph,
+    VoxelSpace,
     Workspace,
+    from_bytes,
     scenes,
     solve_eikonal,
 )
@@ -134,6 +136,21 @@ def test_bounds_hold_in_an_empty_box_of_any_dimension_and_are_close_on_a_line(pe
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("corner", [0.0, 5e6])
+def test_lower_bounds_in_free_space_are_the_straight_line_in_every_reader(corner):
+    size = np.array([6.0, 5.0, 4.0])
+    space, goal = (
+        VoxelSpace(np.ones((6, 5, 4), bool), (corner + 0 * size, corner + size)),
+        corner + np.array([1.3, 2, 1]),
+    )
+    plr = solve_eikonal(space, goal, max_leaves=40)
+    x = np.append(corner + np.random.default_rng(0).random((2000, 3)) * size, goal[None], axis=0)
+    distance = np.linalg.norm(x - goal, axis=1)
+    for lower in (plr.bounds(x)[0], plr.numpy().bounds(x)[0], from_bytes(plr.to_bytes()).lower(x)):
+        assert (np.asarray(lower, float) <= distance).all()
+        np.testing.assert_allclose(lower, distance, rtol=2e-6, atol=2e-5)
+
+
 def test_bounds_hold_around_a_box_in_space():
     """Obstacles as high as the domain: the distance is that of the plane and the height, by Pythagoras."""
     plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])

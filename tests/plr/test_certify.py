@@ -167,6 +167,18 @@ def test_codes_are_rounded_outward_by_little_and_read_as_they_were_written(seed,
     np.testing.assert_array_equal(again.bounds(), certificate.bounds())
 
 
+def test_a_straight_line_is_kept_and_refused_if_it_makes_no_sense():
+    straight = np.array([0.5, 0.25, 1.0, 2.0**-20])
+    certificate = Certificate(1.0, np.zeros((2, 3), np.uint8), Proof.OPEN_LEAVES, straight)
+    again = read_certificate(BitReader(written(certificate).to_bytes()), Proof.OPEN_LEAVES, 3, 2)
+    assert again is not None and again.scale == 1.0
+    np.testing.assert_array_equal(again.straight, straight)
+    for wrong in (np.nan, np.inf, -1.0):
+        body = written(replace(certificate, straight=np.append(straight[:3], wrong)))
+        with pytest.raises(ValueError, match="a straight line to the goal with numbers that are none"):
+            read_certificate(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 3, 2)
+
+
 def test_nothing_above_zero_and_leaves_that_are_all_open_are_a_proof_too():
     certificate = Certificate.of(LeafBounds(np.zeros(3), np.zeros(3)), np.zeros(3), Proof.LEAVES)
     assert 0 < certificate.max_error < 1e-37

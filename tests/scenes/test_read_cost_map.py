@@ -140,6 +140,11 @@ def test_a_tiff_of_floats_has_factors_where_its_tags_say(tags, lo, hi, tmp_path)
     assert cost.interpolation == "nearest"
 
 
+def test_coordinates_in_degrees_are_warned_of(tmp_path):
+    with pytest.warns(UserWarning, match="Coordinates are degrees"):
+        scenes.read_cost_map(tiff(tmp_path, keys=(1, 1, 0, 1, 1024, 0, 1, 2)))
+
+
 @pytest.mark.parametrize("missing", ["-9999", "nan", "0 ", "-3.4028234663852886e+38", "1e300"])
 def test_what_a_tiff_says_is_missing_is_blocked(missing, tmp_path):
     with np.errstate(over="ignore"):

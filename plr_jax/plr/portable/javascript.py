@@ -177,7 +177,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
             f"const value = {answer};",
             "if (value === Infinity) return [value, value];",
             f"const lower = beside({below}, false);",
-            f"return [Math.max(lower, {0 if straight is None else straight}, 0), beside({above}, true)];",
+            f"return [Math.max(lower, {0 if straight is None else f'Math.min({straight}, value)'}, 0), beside({above}, true)];",
         ]
         lines += js_function("export function bounds(x)", do.used_statements())
     return lines
