@@ -11,43 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-OPENERS = {
-    *(
-        "what",
-        "of",
-        "where",
-        "those",
-        "these",
-        "that",
-        "this",
-        "such",
-        "it",
-        "its",
-        "they",
-        "them",
-        "their",
-        "he",
-        "she",
-    ),
-    *(
-        "we",
-        "our",
-        "you",
-        "your",
-        "one",
-        "ones",
-        "another",
-        "each",
-        "both",
-        "some",
-        "all",
-        "any",
-        "none",
-        "who",
-        "whom",
-    ),
-    *("whose", "which", "something", "anything", "nothing", "everything", "the same", "the other", "the others"),
-}
+OPENERS = re.compile(
+    r"(what|of|where|who\w*|which|th(e|o)se|th(at|is)|such|its?|they|them|their|s?he|we|our|your?|ones?|another|each|both"
+    r"|some\w*|all|any\w*|none|nothing|every\w*|the (same|others?))\b",
+    re.IGNORECASE,
+)
 MAX_WORDS = 25
 EXCEPTIONS: set[str] = set()  # "file:name" of a docstring; at most ten
 
@@ -64,8 +32,7 @@ def complaints(path: Path) -> Iterator[tuple[str, str]]:
         paragraph = " ".join(text.split("\n\n")[0].split())
         sentence = re.split(r"(?<=[.!?])\s+(?=[A-Z`])", re.sub(r"\b(e\.g|i\.e|cf|vs)\.", r"\1", paragraph))[0]
         words = sentence.split()
-        opener = re.sub(r"\W+$", "", words[0]).lower()
-        if opener in OPENERS or " ".join(words[:2]).lower() in OPENERS:
+        if OPENERS.match(sentence):
             yield name, f'starts with "{words[0]}": {sentence}'
         if len(words) > MAX_WORDS:
             yield name, f"has {len(words)} words, at most {MAX_WORDS} are allowed: {sentence}"

@@ -33,12 +33,8 @@ _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 OPAQUE = 255
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
-<<<<<<< HEAD
 _PIXEL_IS_POINT = 1025, 0, 1, 2  # with this GeoTIFF key, raster coordinates refer to pixel centers
-=======
-_PIXEL_IS_POINT = 1025, 0, 1, 2  # a key of GeoTIFF, by which places in the raster are those of pixels' centers
-_IS_GEOGRAPHIC = 1024, 0, 1, 2  # a key of GeoTIFF, by which coordinates are longitudes and latitudes
->>>>>>> h1
+_IS_GEOGRAPHIC = 1024, 0, 1, 2  # with this GeoTIFF key, coordinates are longitudes and latitudes
 _BLACK_IS_ZERO, _SIGNED = 1, 2
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 

@@ -177,8 +177,8 @@ def test_a_surface_without_answers_is_refused():
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (plot.plot_cells, "A picture has two axes: of 3 coordinates, at must give 1, got 0"),
-        (plot.plot_contours, "A picture has two axes: of 3 coordinates, at must give 1, got 0"),
+        (plot.plot_cells, "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
+        (plot.plot_contours, "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
         (plot.plot_surface, "Only a 2-D PLR can be drawn as a surface, got one of 3"),
     ],
 )

@@ -398,13 +398,8 @@ class NumpyPLR:
         assert self._band is not None, "bounds are asked for where there is a proof"
         value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
-<<<<<<< HEAD
         if (straight := self._program.straight_bound(ARRAYS, offsets)) is not None:
-            lower = np.maximum(lower, straight)
-=======
-        if (straight := self._program.straight_bound(ARRAYS, above)) is not None:
             lower = np.maximum(lower, np.minimum(straight, value))
->>>>>>> h1
         upper = np.nextafter(value + band[1], np.float32(np.inf))
         finite = value < np.inf
         return np.stack([np.where(finite, np.maximum(lower, 0), value), np.where(finite, upper, value)], axis=1)
