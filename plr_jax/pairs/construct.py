@@ -69,7 +69,9 @@ def outline_of(
     return Outline(origin, step, points, np.array(first), may_squeeze), index
 
 
-def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
+def distinct_lattice_points(
+    x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
+) -> Int[np.ndarray, "n 2"]:
     """Round points to integers, those that would share a place with another point to the next place on their side.
 
     Only ends of an edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
@@ -80,10 +82,7 @@ def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, 
     _, member, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     x, points = x[member], points[member]
     _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    taken, around = (
-        set(map(tuple, points[first].tolist())),
-        np.delete(np.stack(np.divmod(np.arange(9), 3)).T - 1, 4, 0),
-    )
+    taken, around = set(map(tuple, points[first].tolist())), np.delete(np.stack(np.divmod(np.arange(9), 3)).T - 1, 4, 0)
     for i in np.setdiff1d(np.arange(len(points)), first):
         away = around @ (x[i] - x[first[place.ravel()[i]]]) / np.linalg.norm(around, axis=1)
         sites = map(tuple, (points[i] + around[np.argsort(-away)]).tolist())

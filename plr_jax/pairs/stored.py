@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle, turned_left
+from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
@@ -167,24 +167,12 @@ class Outline:
         walls = np.concatenate([moved, moved[following]], axis=1)
         if distance <= 0 or surely:
             return walls
-        # 1. A wall of which one end stays moves back from a little beside that end on.
-        along = self.positions[following] - self.positions
-        length = np.linalg.norm(along, axis=1)
-        stays, parts = (moved == self.positions).all(axis=1), [walls]
-        for is_end, sign in ((False, 1), (True, -1)):
-            rows = np.flatnonzero((stays != is_end) & (stays[following] == is_end) & (length > 8 * distance))
-            u, end = along[rows] / length[rows, None], slice(2, 4) if is_end else slice(0, 2)
-            foot, other = walls[rows, end] + distance * (sign * u - turned_left(u)), walls[rows]
-            other[:, 2 - end.start : 4 - end.start] = walls[rows, end] = foot
-            parts.append(other)
-        # 2. Walls there and back.
         away = self.positions - moved
         far = np.linalg.norm(away, axis=1)
         most = np.where(self.is_contact, 0.0, _MITRE * distance)
         tips = np.flatnonzero(far > most)
         start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
-        parts += [np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])]
-        return np.concatenate(parts)
+        return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
         """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
