@@ -4,7 +4,8 @@
 2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
 
 A query tries the listed corners one by one and drops those that its point does not see. Only corners that a part of
-the cell sees can fail. So the cells with the largest product of free area and number of such corners are halved first.
+the cell sees can fail. So the cells with the largest product of free area and number of such corners are halved
+first.
 """
 
 from collections.abc import Callable
@@ -77,9 +78,10 @@ def outline_of(
 
 
 def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
-    """Round points to integers. A point whose place is taken moves to a neighbor place, in its direction from the other.
+    """Round points to integers, but move points whose place is taken to a neighbor place.
 
-    Only the ends of a short edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
+    They move in their direction from the other point. Only the ends of a short edge share a place. So a place of
+    several walls is a contact, and narrow gaps stay open.
     """
     points, num = np.rint(x).astype(np.int64), len(x)
     short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
@@ -317,7 +319,7 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are corners, ascending, and the index among them of each corner of the workspace.
+    """Return the outline points that are corners, ascending, and the rank among them of each workspace corner.
 
     If a corner has several outline points, choose the point that sticks out into free space.
     """

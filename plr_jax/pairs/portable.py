@@ -14,12 +14,12 @@ Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floa
     ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
     corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
 4.  *Bounds.* The lower bound is ``max(shrunk length - less, 0)``. Its length ignores thin walls and opens contacts.
-    The upper bound is ``stretched length + more``. Its walls and corners are moved into free space, rectangles enclose
-    thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are inside
-    these walls: the walls to the right of a point that go up outnumber those that go down by one.
+    The upper bound is ``stretched length + more``. Its walls and corners are moved into free space, rectangles
+    enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
+    inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
 
-``pairs(x, y)`` finds the same paths up to rounding: it may choose another path of equal length, and compilers may fuse
-its operations.
+``pairs(x, y)`` finds the same paths up to rounding: it may choose another path of equal length, and compilers may
+fuse its operations.
 """
 
 from base64 import b64encode
@@ -99,7 +99,8 @@ class Scene:
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
         """Return the scene of a file: walls move into free space if ``is_certain``, else back into obstacles.
 
-        With ``hides_surely``, only what obstacles certainly hide is hidden: contacts open, and thin walls are left out.
+        With ``hides_surely``, only what obstacles certainly hide is hidden: contacts open, and thin walls are left
+        out.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -176,8 +177,8 @@ class NumpyPairs:
             y: Points whose shape broadcasts with ``x``.
 
         Returns:
-            Distances, ``(...)``, float32: ``inf`` outside the domain and without a path, NaN where a coordinate is NaN.
-            ``f(x, y) == f(y, x)`` to the last bit.
+            Distances, ``(...)``, float32: ``inf`` outside the domain and without a path, NaN where a coordinate is
+            NaN. ``f(x, y) == f(y, x)`` to the last bit.
 
         Raises:
             ValueError: If points are not real numbers with two coordinates, or do not broadcast.

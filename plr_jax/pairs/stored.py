@@ -157,10 +157,11 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of all walls after they move back into obstacles, or into free space if the distance is negative.
+        """Return the ends of all walls after they move back into obstacles.
 
-        Walls that move back open contacts and cut off tips. Pairs of opposite walls close both: they lead from the contact,
-        or from near the tip, to the point where the moved walls meet.
+        If the distance is negative, walls move into free space instead. Walls that move back open contacts and cut
+        off tips. Pairs of opposite walls close both: they lead from the contact, or from near the tip, to the point
+        where the moved walls meet.
 
         Args:
             distance: How far walls move, in workspace units.
@@ -199,8 +200,8 @@ class Outline:
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
         """Return how far points move back, in multiples of the distance.
 
-        A point between two thin walls stays, unless ``surely``. So do the ends of a wall that would change direction, as at
-        the end of an obstacle that is thinner than twice the distance.
+        A point between two thin walls stays, unless ``surely``. So do the ends of a wall that would change direction,
+        as at the end of an obstacle that is thinner than twice the distance.
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
