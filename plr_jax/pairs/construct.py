@@ -44,7 +44,7 @@ _FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 3
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """Return the outline of a boundary, and the boundary vertex at each of its points."""
+    """Return the outline of a boundary, and the vertex at each of its points."""
     # 1. Find the next edge of each edge's ring: the edge whose sector it closes. If paths may squeeze through
     #    contacts, it is the next edge around the same obstacle instead.
     edges = boundary.edges
@@ -206,7 +206,6 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limits: Limits) -> _ListTree:
-    """Return the tree after some leaves are halved along their longer sides."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)

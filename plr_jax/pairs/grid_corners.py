@@ -146,17 +146,8 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 class _Sector:
     """A view of a grid in which a sector of every corner extends to higher rows and columns.
 
-    Attributes:
-        free: The free cells of the view.
-        blocked: For each diagonal direction, the cells whose neighbor there is blocked and can be passed around.
-        row: Row of each corner in the view.
-        column: Column of each corner in the view.
-        origin: Number of the view's first cell in the grid.
-        row_step: Difference of grid numbers between rows of the view.
-        column_step: Difference of grid numbers between columns.
-        slanted: Whether the sector is an octant of an 8-connected grid, not a quadrant.
-        keeps_ahead: Whether this sector, of two that share them, owns the cells straight ahead.
-        keeps_aside: Whether it owns the cells straight aside.
+    ``origin`` and the steps map rows and columns of the view to cell numbers of the grid. Two sectors share the cells
+    straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which one owns them.
     """
 
     free: Bool[np.ndarray, "rows columns"]
@@ -171,7 +162,6 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
-        """Return the grid numbers of cells at given steps from corners."""
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
@@ -240,7 +230,7 @@ def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "ro
 
 
 def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndarray, "4 rows columns"]:
-    """Return, for each diagonal direction, whether paths can pass around a cell's neighbor."""
+    """Return for each diagonal direction whether paths can pass around a cell's neighbor."""
     rows, columns = free.shape
     around = np.pad(free, 1)
 
@@ -417,7 +407,6 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
-    """Return distances of all corners to their ancestors, last eliminated corners first."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
@@ -449,7 +438,6 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
-    """Return distances between all corners, last eliminated corners first."""
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

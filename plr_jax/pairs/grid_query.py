@@ -109,8 +109,8 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
-    # No diagonal step of the parallelogram between the cells may be illegal; for cells in one line, none between them
-    # may be blocked. Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
+    # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked. Transpose
+    # and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     way = q - p
     transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0
@@ -134,7 +134,6 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
 
 
 def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
-    """Return the integers in the smallest type that holds them."""
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
@@ -276,7 +275,6 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """Return the same for as many pairs as are sorted together."""
     seen = sees(tables.sight, p, q)
     first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
     chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
@@ -359,11 +357,9 @@ class _Left(NamedTuple):
     blocks: UInt32[Array, "n"]
 
     def words(self, tables: GridTables) -> Int32[Array, ""]:
-        """Return the number of 32-bit words needed for the blocks."""
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
     def word(self, tables: GridTables, number: Int[Array, ""]) -> UInt32[Array, "n"]:
-        """Return a word of block bits."""
         behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
         every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
         return jnp.where(number == 0, self.blocks, every)
@@ -408,7 +404,6 @@ _BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
-    """Return open lengths between cells and corners."""
     rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
     return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
 
@@ -419,10 +414,9 @@ def _least_around(
     onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
 ) -> Int32[Array, "n"]:
-    """Return the least length of a path from each cell over one of its corners to a fixed end, ``FAR`` without
-    corners.
+    """Return the least length of a path from each cell over one of its corners, ``FAR`` without corners.
 
-    ``onward`` returns the lengths from four corners of each cell to the end.
+    ``onward`` returns the lengths from four corners of each cell to the end of the path.
     """
     first, count = _blocks_of(tables, cells)
 
@@ -551,7 +545,6 @@ def _asked(
     lengths: Rim,
     wanted: Bool[Array, "rim n"],
 ) -> Rim:
-    """Return the lengths with the wanted cells filled in."""
     size = min(_RIM_CELLS_AT_ONCE, wanted.size)
     every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -574,7 +567,6 @@ def _asked(
 
 
 def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
-    """Spread known lengths over squares by legal steps; at least ``FAR`` where no path leads."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 

@@ -208,7 +208,6 @@ class PairPLR(FileBacked):
         return js_pairs_module(self.to_bytes(), self.domain)
 
     def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
-        """Apply a function of the tables to pairs of points, in blocks on all cores of a CPU."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         _require_broadcast("x and y", x, y)
         if not is_on_one_host(x, y, self.tables.walls):
@@ -408,6 +407,5 @@ def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*bat
 
 
 def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Return lengths of vectors, with slope 0 at 0."""
     square = (v * v).sum(axis=1)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -45,8 +45,6 @@ Columns = TypeVar("Columns")
 
 @dataclass(frozen=True)
 class _NoLeaf:
-    """A stand-in for a leaf model, for tables of a partition alone."""
-
     least_bytes: float = 1.0
     has_deep_trees: bool = False
 
@@ -299,7 +297,6 @@ def shortest_ways(
 
 
 def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
-    """Apply a function to rows in blocks that fit into caches."""
     size = rows[0].shape[0]
     if is_symbolic_dim(size) or size <= _AT_ONCE:
         return ways(*rows)
@@ -414,7 +411,6 @@ def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
 def _with_bit(
     words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool
 ) -> UInt32[Array, "n words"]:
-    """Return words with the bit of a place set in each row where the condition holds."""
     number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
     bit = jnp.where(if_so, jnp.uint32(1) << (place & 31), 0)
     return words | jnp.where(number == (place >> 5)[:, None], bit[:, None], 0)
@@ -423,11 +419,9 @@ def _with_bit(
 def _smallest(
     values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
 ) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Return the place and value of the smallest open entry of each row, and the smallest of the others.
-
-    Compilers find a minimum fast but its place slowly. So the place is packed into the last bits of the excess over a
-    bound slightly below the minimum, where it cannot change the order of values that differ by more than rounding.
-    """
+    """Return place and value of the smallest open entry of each row, and the smallest of the others."""
+    # Compilers find a minimum fast but its place slowly. So the place is packed into the last bits of the excess over
+    # a bound slightly below the minimum, where it cannot reorder values that differ by more than rounding.
     columns = np.arange(values.shape[1], dtype=np.uint32)[None]
     is_done = done[:, columns[0] // 32] & (np.uint32(1) << columns % 32) != 0
     values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
@@ -441,13 +435,11 @@ def _smallest(
 
 
 def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
-    """Return the distances from points to all corners of their leaves' lists."""
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
 def _corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
-    """Return the corners at given places of leaves' lists."""
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
@@ -458,7 +450,6 @@ def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
 def _at(
     table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
 ) -> Shaped[Array, "..."]:
-    """Return table entries by indices that are certainly valid."""
     return table.at[index].get(mode=mode)
 
 
@@ -469,7 +460,6 @@ def _is_leg_hidden(
     x: Float[Array, "n 2"],
     corner: Float[Array, "n 2"],
 ) -> Bool[Array, "n"]:
-    """Return whether an obstacle hides corners at given places of leaves' lists from points."""
     if tables.near is None:
         return is_hidden(tables, x, corner)
     (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
