@@ -187,6 +187,20 @@ class ExactPlane:
         p, q = self._placed([a, b])
         return bool(self.sectors[p]) if p == q else bool(self._links_between([p], [q]))
 
+    def joins(self, a: Sequence[Any], b: Sequence[Any], radius: float) -> bool:
+        """Whether a path in free space joins two points whose vertices are within a radius of their segment."""
+        p, q = self._placed([a, b])
+        start, end = as_floats([p, q])
+        segment: Any = shapely.linestrings(np.stack([start, end]))
+        near = shapely.dwithin(segment, shapely.points(as_floats(self.vertices)), radius)
+        points = [p, q, *(vertex for vertex, is_near in zip(self.vertices, near, strict=True) if is_near)]
+        reached, pending = set(), [(p, i) for i in range(len(self.sectors[p]))]
+        links = self._links_between(points, points)
+        while pending:
+            reached.add(node := pending.pop())
+            pending += [other for one, other, _ in links if one == node and other not in reached]
+        return any(point == q for point, _ in reached)
+
     def distances(self, source: Sequence[Any], points: Iterable[Sequence[Any]]) -> np.ndarray:
         """Return lengths of shortest paths from a point to others; ``inf`` if there is none."""
         start, *ends = self._placed([source, *points])

@@ -221,16 +221,25 @@ class Judge:
         vertices = {tuple(end) for wall in near for end in wall.tolist() if np.hypot(*(end - x)) <= radius}
         return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
 
-    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float, radius: float):
-        """Count broken bounds; those that rounding to 32 bits excuses are counted apart."""
+    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float):
+        """Count broken bounds; count bounds that hold within the tolerance, or for 32-bit points, apart."""
         lower, upper = (np.asarray(each, float) for each in got)
-        reached = np.isfinite(exact)
+        reached, width = np.isfinite(exact), float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(reached.sum())
         for i in np.flatnonzero(reached & ((lower > exact + slack) | (upper < exact - slack))):
-            allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
-            is_excused = any(lower[i] <= hi + slack and upper[i] >= lo - slack for lo, hi in allowed)
-            kind = "broken, but for what 32 bits resolve" if is_excused else "broken"
-            self.fail(f"{name}: {kind}", goal, x[i], (lower[i], upper[i]), exact[i], allowed[0])
+            for radius, kind in (
+                (_NEAR * self.plan.tolerance, ""),
+                (_NEAR_32 * width, ", but for what 32 bits resolve"),
+            ):
+                allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
+                if any(lower[i] <= hi + slack and upper[i] >= lo - slack for lo, hi in allowed):
+                    break
+            else:
+                kind = ", for all points that are as near"
+            if kind:
+                self.fail(f"{name}: broken{kind}", goal, x[i], (lower[i], upper[i]), exact[i], allowed[0])
+            else:
+                self.counts[f"{name}: within the tolerance"] += 1
 
     def sight(self, name: str, goal: Any, x: np.ndarray, got: np.ndarray):
         self.counts[f"{name}: asked"] += len(x)
@@ -239,7 +248,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
 
     def _may_see(self, a: np.ndarray, b: np.ndarray, answer: bool) -> bool:
-        """Return whether a segment within the tolerance of the given one has this answer."""
+        """Return whether a segment within the tolerance, or a free path as near, has this answer."""
         radius, way = _NEAR * self.plan.tolerance, b - a
         if np.hypot(*way) <= 4 * radius:
             return True
@@ -247,6 +256,8 @@ class Judge:
         for plane in (self.given, self.rounded):
             starts, ends = ([p, *plane.near(p, radius), p + across, p - across] for p in (a, b))
             if any(plane.sees(p, q) == answer for p in starts for q in ends):
+                return True
+            if answer and plane.joins(a, b, radius):
                 return True
         return False
 
@@ -289,7 +300,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
             if result.given.sectors_at(as_exact(goal)):
                 got = np.asarray(numpy(x[is_free], goal), float)
                 result.pairs(goal, x[is_free], got, right[is_free], width)
-            result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), right, slack, _NEAR_32 * width)
+            result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), right, slack)
         if number or "fields" not in ask or not np.isfinite(own(x)).any():
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
@@ -302,7 +313,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
                 ),
             )
             if plr is not None:
-                result.bounds(name, goal, x, plr.numpy().bounds(x), right, slack, _NEAR_32 * width)
+                result.bounds(name, goal, x, plr.numpy().bounds(x), right, slack)
     return result
 
 

@@ -77,3 +77,11 @@ def test_ordinary_maps_are_answered_as_by_the_package(seed):
     expected = ExactPlane(((0, 0), (5, 5)), obstacles).distances(goal, x)
     assert np.isfinite(expected).any()
     np.testing.assert_allclose(VisibilityGraph(workspace, goal)(x), expected, rtol=1e-9)
+
+
+def test_paths_that_keep_near_a_segment_join_its_ends_and_others_do_not():
+    """A segment that cuts off 0.1 of a square's corner; and one between points that a wall parts."""
+    plane = ExactPlane(_BOX, [_square(1, 1), [(2, 0), (2.1, 0), (2.1, 4), (2, 4)]])
+    assert plane.joins((0.5, 2.3), (1.7, 2.3), 0) and not plane.sees((0.9, 1.4), (1.5, 2.0))
+    assert [plane.joins((0.6, 1.4), (1.6, 2.4), radius) for radius in (0.1, 0.15)] == [False, True]
+    assert not plane.joins((1.5, 3), (3, 3), 10)

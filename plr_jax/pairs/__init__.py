@@ -1,11 +1,9 @@
-"""Distances between any two points: of a planar workspace, of a grid's cells, of any metric.
+"""Distances between any two points: of a planar workspace, of a grid's cells, or for any metric.
 
-In the plane (:func:`construct_pairs`) a cell lists the corners at which paths from it may turn first, as
-``geometry/cell_sight.py`` finds them. The module `construct` builds the lists, and `stored` holds the layout of the
-file. The module `query` searches the tables in JAX; `portable` does so without JAX. The module `hiding` finds the
-walls between a cell and a corner, and the chords of obstacles that hide most points. :class:`PreparedGoals` store the
-distances of goals that are queried many times. On grids (:func:`construct_grid_pairs`) distances are exact:
-see ``GRIDS.md``.
+In the plane (:func:`construct_pairs`), each leaf lists the corners at which paths from it may turn first, found by
+``geometry/cell_sight.py``. The modules: `construct` builds the lists, `stored` defines the file, `query` searches in
+JAX, `portable` in NumPy, `hiding` finds what blocks sight. :class:`PreparedGoals` store the corner distances of goals
+that are queried many times. On grids (:func:`construct_grid_pairs`), distances are exact: see ``GRIDS.md``.
 """
 
 import lazy_loader

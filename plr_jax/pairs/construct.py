@@ -1,4 +1,12 @@
-"""Building a PairPLR of a planar workspace."""
+"""Construction of a PairPLR of a planar workspace.
+
+1. Round the boundary of free space to a lattice and find the corners that shortest paths may join.
+2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
+
+A query tries the listed corners one by one and drops those that its point does not see. Only corners that a part of
+the cell sees can fail. So the cells with the largest product of free area and number of such corners are halved
+first.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,16 +37,16 @@ from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
-_SLACK = 8  # tolerances of the workspace
-_FINEST = 2.0**-24  # of the width: 32-bit floats tell no finer
+_SLACK = 8  # workspace tolerances by which visibility may err
+_FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 
 
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """The outline of a boundary, and the boundary's vertex at each of its points."""
-    # 1. The edge with which each edge's ring goes on: that whose sector it closes. Where paths may squeeze between
-    #    walls that touch, it is the next one around the same wall instead.
+    """Return the outline of a boundary, and the vertex at each of its points."""
+    # 1. Find the next edge of each edge's ring: the edge whose sector it closes. If paths may squeeze through
+    #    contacts, it is the next edge around the same obstacle instead.
     edges = boundary.edges
     leaving = {
         (int(at), int(end)): i for i, (at, end) in enumerate(zip(edges[:, 0], boundary.sector_end, strict=True))
@@ -53,7 +61,7 @@ def outline_of(
             around = around[np.argsort(angle[around])]
             following[around] = np.roll(around, -1)
         onward = following[onward]
-    # 2. The rings, and their points on the lattice.
+    # 2. Follow the rings, and round their points to the lattice.
     vertex, first, is_done = [], [0], np.zeros(len(edges), bool)
     for start in range(len(edges)):
         edge = start
@@ -70,9 +78,10 @@ def outline_of(
 
 
 def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
-    """Round points to integers, those that would share a place with another point to the next place on their side.
+    """Round points to integers, but move points whose place is taken to a neighbor place.
 
-    Only ends of an edge share a place. So a place of several walls is a contact, and narrow gaps stay open.
+    They move in their direction from the other point. Only the ends of a short edge share a place. So a place of
+    several walls is a contact, and narrow gaps stay open.
     """
     points, num = np.rint(x).astype(np.int64), len(x)
     short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
@@ -93,37 +102,33 @@ def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, 
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
-    """The widest step of which all coordinates are multiples: a power of ten or two, or the finest there is."""
+    """Return the widest lattice step that keeps points distinct and moves none of them by more than the tolerance.
+
+    Steps are powers of two or ten. If no step fits, return the finest.
+    """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= _FINEST * width)])[::-1]:
         steps_away = np.rint(points / step)
-        if np.abs(points - step * steps_away).max(initial=0.0) <= tolerance:
-            if len(np.unique(steps_away, axis=0)) == len(points):
-                return float(step)
+        is_near = np.abs(points - step * steps_away).max(initial=0.0) <= tolerance
+        if is_near and len(np.unique(steps_away, axis=0)) == len(points):
+            return float(step)
     return float(2.0 ** np.floor(np.log2(_FINEST * width)))
 
 
-# Which cells to halve: those in much of whose free space a query tries corners in vain.
-#
-# A leaf lists every corner that some point of it may turn at first. A query tries the corners of a list one after the
-# other, and drops those that its point does not see. All of these are corners that only a part of the cell sees. So
-# cells are halved in the order of their free area times the number of such corners.
-
-
-_SHARE = 0.25  # of the largest key, above which cells are halved in a round
-_IN_VAIN = 0.1  # corners of a list that a point does not see, on average: with fewer queries become no faster
+_SHARE = 0.25  # share of the largest key above which cells are halved together
+_IN_VAIN = 0.1  # invisible listed corners per point, on average; queries get no faster with fewer
 
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Cells and the corners listed for each.
+    """Cells with their lists of corners.
 
     Attributes:
         cells: The cells.
-        cell: The cell of each entry, ascending.
-        corner: Its corner.
-        by_all: Whether all of the cell sees it.
+        cell: Cell of each list entry, ascending.
+        corner: Corner of each entry.
+        by_all: Whether the entire cell sees the corner.
     """
 
     cells: Cells
@@ -132,13 +137,13 @@ class Lists:
     by_all: Bool[np.ndarray, "entries"]
 
     def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
-        """Those of some cells."""
+        """Return the lists of some cells."""
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
         entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
-        """Those of these cells followed by others."""
+        """Return these cells and lists, followed by others."""
         return Lists(
             self.cells.append(other.cells),
             np.concatenate([self.cell, len(self.cells) + other.cell]),
@@ -149,14 +154,14 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """All nodes so far, with their lists, and the leaves among them with all that is known of them.
+    """Nodes of the partition so far, with their lists.
 
     Attributes:
-        lists: Of all nodes.
-        key: How soon each is to be halved; not before its parent.
+        lists: Lists of all nodes.
+        key: Priority of halving each node, at most that of its parent.
         is_leaf: Which nodes are leaves.
-        parent: The node that each is a half of; -1 of the root.
-        visible: Of the leaves, in order.
+        parent: Parent of each node, -1 for the root.
+        visible: Visible corners of the leaves, in order.
     """
 
     lists: Lists
@@ -169,7 +174,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """The leaves of the tree in which only nodes with larger keys are halved."""
+        """Return the leaves of the tree in which only nodes with larger keys are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -178,7 +183,7 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
+    """Halve cells until the file reaches the byte limit or no cell is worth halving; return the leaves."""
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
 
@@ -191,7 +196,7 @@ def grow_lists(
 
     tree = grow(tree, halved, limits)
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
-    low, high = 0, len(keys) - 1  # with the last key as threshold nothing is halved
+    low, high = 0, len(keys) - 1  # the last key as threshold halves nothing
     while low < high:
         middle = (low + high) // 2
         leaves = tree.leaves_above(keys[middle])
@@ -201,7 +206,6 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limits: Limits) -> _ListTree:
-    """The tree after some of its leaves are halved, along their longer sides."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
@@ -223,9 +227,9 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
-    """The lists of cells, and free area of each cell times how many of its corners are not seen by all of it.
+    """Return the lists of cells, and for each cell the product of its free area and number of partly visible corners.
 
-    The key is 0 where a cell is to stay.
+    This key is 0 for cells that may not be halved.
     """
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
@@ -239,38 +243,37 @@ def corners_seen(
     lo: Float[np.ndarray, "cells 2"],
     hi: Float[np.ndarray, "cells 2"],
 ) -> CellSources:
-    """Return at which corners paths from boxes, each a cell, may turn first."""
+    """Return the corners at which shortest paths from boxes may turn first; each box is a cell."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
-    """Return what the file of pairs of a workspace holds, and its bytes."""
+    """Return the contents and the bytes of the file of pairs of a workspace."""
     if not isinstance(workspace, Workspace):
-        raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
+        raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     frame = frame_size(workspace.bounds)
     limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame)
     domain, boundary = workspace.bounds, workspace.boundary
     if domain.width.max() > WIDEST:
-        raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")
+        raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     visibility = corner_visibility(workspace)
     if len(visibility.corners.points) > MOST_CORNERS:
         raise ValueError(
-            f"The workspace has {len(visibility.corners.points):,} corners; pairs are for {MOST_CORNERS:,} at most: "
+            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(visibility.corners.points):,}: "
             "simplify its polygons, or ask a VisibilityGraph."
         )
     outline, vertex = outline_of(
         boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
     )
     corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
-    # 1. Edges: joined are corners that see one another and whose line is tangent at both: what shortest paths are
-    #    made of.
+    # 1. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
     edges = np.unique(np.sort(rank[visibility.edges[is_taut]], axis=1)[:, ::-1], axis=0)[:, ::-1]
-    # 2. A path by the corners has two legs, each of which changes by no more than its corner moves when the file
-    #    rounds it, and the distance between these corners, of which all are compared. Visibility has a tolerance.
+    # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
+    #    Distances between corners are compared one by one. Visibility has a tolerance.
     none, width = np.zeros(0, np.int64), float(domain.width.max())
     outline = replace(outline, thin=thin_walls(outline, workspace.free_space, width))
     unlisted = PairsFileData(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
@@ -287,7 +290,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
     unlisted = replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf))))
 
-    # 3. The leaves and their lists.
+    # 3. Grow the leaves and their lists.
     def stored(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
         place = np.argsort(tree.order)[lists.cell]
@@ -300,13 +303,14 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     data = held.to_bytes()
     if len(data) > limits.max_bytes:
         raise ValueError(
-            f"Free space and its corners alone take {len(data):,} bytes, more than max_bytes={limits.max_bytes:,.0f}."
+            f"max_bytes must leave room for free space and its corners, which alone take {len(data):,} bytes, got "
+            f"max_bytes={limits.max_bytes:,.0f}: raise it, or simplify the polygons."
         )
     return held, data
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Walls of an outline that are not surely inside of obstacles after they move back, where contacts open."""
+    """Return the walls that may leave their obstacle when they move back, because it is thin."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -314,9 +318,9 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is.
+    """Return the outline points that are corners, ascending, and the rank among them of each workspace corner.
 
-    Of points in one place, it is the one that stands out.
+    If a corner has several outline points, choose the point that sticks out into free space.
     """
     number = {tuple(point): i for i, point in enumerate(corners.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])

@@ -1,13 +1,16 @@
-"""Distances between all corners of a grid, by elimination over the graph of those that see each other.
+"""Distances between all corners of a grid, by vertex elimination on the graph of corners that see each other.
 
-Corners are taken out of the graph one by one, each time one with the fewest neighbors, which are joined by edges as
-long as the way over it. Distances of the last ones are known first; from one that was taken out a shortest path to
-those that were taken out later leads over one of its neighbors. So each takes a minimum over a few rows of distances,
-where a search from it would visit all corners. No row depends on the order of sums, which are whole numbers.
+1. Eliminate corners one by one, always one with the fewest neighbors. Join its neighbors by edges as long as the path
+   over it.
+2. Compute distances in reverse order. A shortest path from a corner to corners eliminated later leads over one of its
+   neighbors. So its row is a minimum over a few known rows; a search would visit all corners.
 
-The neighbors of a corner when it is taken out are among its *ancestors*: the one that is taken out first is its
-parent, and so on. Any path between two corners passes a common ancestor of both. Up to :data:`MOST_IN_TABLE` corners,
-all distances are kept; of more, only those to ancestors, of which there are few where a map has narrow passages.
+Lengths are whole numbers, so that rows do not depend on the order of sums.
+
+The *parent* of a corner is the first eliminated of its neighbors at its elimination; *ancestors* are parents of
+parents, and so on. Every path between two corners passes a common ancestor. All distances are kept for up to
+:data:`MOST_IN_TABLE` corners; for more corners, only distances to ancestors, which are few on maps with narrow
+passages.
 
 References:
     D. J. Rose, R. E. Tarjan and G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput.
@@ -32,15 +35,15 @@ from plr_jax._arrays import parts, ragged_indices
 
 _Numbers = TypeVar("_Numbers")
 
-# Lengths of steps in units, as integers, so that sums have no rounding and do not depend on their order.
+# Lengths of steps in units: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
 DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Length in units of a shortest path between cells so many rows and columns apart, without obstacles.
+    """Return the length in units of a shortest path on an empty grid, from row and column offsets.
 
-    Of arrays of integers at least 0, NumPy or JAX. A diagonal step of a 4-connected grid is two straight ones.
+    Offsets are at least 0, NumPy or JAX. A diagonal step of a 4-connected grid counts as two straight steps.
     """
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
@@ -48,30 +51,30 @@ def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Number
 
 
 FAR = 2**30
-"""No path, in units: no sum of distances that are there reaches it."""
+"""Length that stands for no path, in units: no sum of existing distances reaches it."""
 MOST_IN_TABLE = 2**14
-"""Corners between which all distances are kept: of 8 bits, they take 134 MB, and four times that until then."""
-_MOST_BYTES = 2**30  # of the largest table
+"""Most corners with a full table: 134 MB at 8 bits, four times as much during construction."""
+_MOST_BYTES = 2**30  # size of the largest table
 _TOO_LARGE = (
     "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
-    "ask a GridGraph, which searches."
+    "use a GridGraph, which searches."
 )
 _TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-_AT_ONCE = 2**22  # cells of runs that are listed at once
+_AT_ONCE = 2**22  # cells listed in one step
 
 _Cells = Int[np.ndarray, "pairs"]
 
 
 def corner_cells(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Corners: free cells with a blocked cell diagonally beside them, and free cells on both sides of that one."""
+    """Return which cells are corners: free, with a blocked diagonal neighbor and both cells beside it free."""
     return np.logical_or.reduce(_blocked_diagonals(free))
 
 
 def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> tuple[_Cells, _Cells]:
-    """Pairs of corners that see each other with no corner between them, by their numbers in row-major order.
+    """Return the pairs of corners that see each other with no corner in between.
 
-    Each pair is there once, its lower number first.
+    Corners are numbered in row-major order. Each pair appears once, the lower number first.
     """
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
@@ -80,7 +83,7 @@ def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
     for sector in _sectors(free, connectivity):
         corners = np.logical_or.reduce(list(sector.blocked.values()))
         for corner, width, aside in _scan(sector, corners, corners):
-            last = number[sector.cells(corner, aside, width - 1)]  # as no run goes on behind a corner
+            last = number[sector.cells(corner, aside, width - 1)]  # no run continues past a corner
             other = (last >= 0) & (last != corner)
             ends = corner[other], last[other]
             found.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
@@ -90,22 +93,22 @@ def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 def taut_corners(
     free: Bool[np.ndarray, "rows columns"], connectivity: int
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
-    """Return the corners that each cell sees and is taut at, with no such corner between them.
+    """Return the corners that each cell sees and is taut at, with no such corner in between.
 
-    Cells and corners are numbered in row-major order. The first result is where the corners of each cell begin, the
-    second the corners, in the order of their numbers. Raises ``ValueError`` if a byte for each is too much.
+    Cells and corners are numbered in row-major order. The first result is the index of each cell's first corner, the
+    second the corners. Raises ``ValueError`` if a byte for each pair is too much.
     """
     from scipy.sparse import csr_array
 
-    # 1. Runs of cells that are taut at a corner: the corner, the first cell, the step to the next, and their number.
+    # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
     found = [np.zeros((4, 0), np.int64)]
     for sector in _sectors(free, connectivity):
-        # Beyond a corner in this sector, those further ahead are taut at it if a blocked diagonal of it is ahead, and
-        # those further aside if one is aside; a diagonal step goes ahead as well.
+        # Cells past a corner are taut at it if they are further ahead and a blocked diagonal is ahead, or further
+        # aside and one is aside. A diagonal step goes ahead as well.
         blocked = sector.blocked
         at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
-        # Whether cells beside a corner are taut at it: with exactly one of row and column beyond its own, or both.
+        # Whether cells are taut at a corner: those straight ahead, straight aside, and both ahead and aside.
         if_ahead, if_aside, if_both = (at[one] | at[other] for one, other in _TAUT)
         straight = if_both if sector.slanted else if_aside
         for corner, width, rows in _scan(sector, ahead, ahead | aside if sector.slanted else aside):
@@ -122,7 +125,7 @@ def taut_corners(
     if taut[3].sum() > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     corner, first, step, length = taut[:, np.argsort(taut[0], kind="stable")]
-    # 2. The cells of these runs, listed by corners.
+    # 2. List the cells of these runs by corner.
     cells, end = np.empty(int(length.sum()), np.int32), 0
     for some in parts(length, _AT_ONCE):
         run, place = ragged_indices(length[some])
@@ -130,22 +133,21 @@ def taut_corners(
         end += len(run)
     num_corners = int(corner.max(initial=-1)) + 1
     first = np.append(0, np.cumsum(np.bincount(corner, weights=length, minlength=num_corners))).astype(np.int32)
-    # 3. The corners, listed by cells: the transposed sparse matrix, in linear time.
+    # 3. List the corners by cell: transpose a sparse matrix, in linear time.
     table = csr_array((np.ones(len(cells), np.int8), cells, first), shape=(num_corners, free.size)).tocsc()
     return table.indptr, table.indices
 
 
 _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
-"""Blocked diagonals of a corner at which what is straight ahead, straight aside, and both is taut."""
+"""Blocked diagonals at which cells straight ahead, straight aside, and both ahead and aside are taut."""
 
 
 @dataclass(frozen=True)
 class _Sector:
     """A view of a grid in which a sector of every corner extends to higher rows and columns.
 
-    ``row`` and ``column`` are those of the corners in the view, in the order of their numbers; ``origin`` and the
-    steps give the cells of the grid. ``keeps_ahead`` and ``keeps_aside`` say whether cells straight ahead, and
-    straight aside, which two sectors share, are this one's.
+    ``origin`` and the steps map rows and columns of the view to cell numbers of the grid. Two sectors share the cells
+    straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which one owns them.
     """
 
     free: Bool[np.ndarray, "rows columns"]
@@ -160,7 +162,6 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
-        """Cells so many steps from corners."""
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
@@ -185,7 +186,7 @@ def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Itera
             row_step=-steps[0] if flipped else steps[0],
             column_step=-steps[1] if mirrored else steps[1],
             slanted=slanted,
-            # Sectors that are flipped share what is ahead; mirrored quadrants, or transposed octants, what is aside.
+            # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
             keeps_ahead=not flipped,
             keeps_aside=not (transposed if slanted else mirrored),
         )
@@ -194,9 +195,10 @@ def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Itera
 def _scan(
     sector: _Sector, ends_row: Bool[np.ndarray, "rows columns"], ends_later: Bool[np.ndarray, "rows columns"]
 ) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Row by row, what corners see in a sector: their numbers, how many cells ahead, and the steps aside.
+    """Yield, row by row, what corners see in a sector: corner numbers, numbers of visible cells ahead, and steps
+    aside.
 
-    A row ends with the first cell that ``ends_row``; later rows end one step after it, and before one that
+    A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in
     ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
@@ -220,7 +222,7 @@ def _scan(
 
 
 def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Steps from each cell of a row, and from behind its last, to the first that is wanted, or to the border."""
+    """Return the steps from each cell of a row, and from past its end, to the next wanted cell or the border."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)
@@ -228,7 +230,7 @@ def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "ro
 
 
 def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndarray, "4 rows columns"]:
-    """Of each cell, whether a path can go around its diagonal neighbor, in each of the diagonal directions."""
+    """Return for each diagonal direction whether paths can pass around a cell's neighbor."""
     rows, columns = free.shape
     around = np.pad(free, 1)
 
@@ -238,27 +240,26 @@ def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndar
     return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
 
 
-_NO_PATH = FAR + 2**20  # so that what is a little less is no path either
-_MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # so that twice as many units fit into 8 bits, or into 16
-_MOST_WORK = 2**27  # pairs of neighbors of all corners when they are taken out; more take minutes
+_NO_PATH = FAR + 2**20  # small differences keep it above FAR
+_MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
+_MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
 _ANCESTOR_BYTES = 8
 
 
 def looked_up(table: Shaped[Array, "rows ..."], index: Int[Array, "*n"]) -> Shaped[Array, "..."]:
-    """Rows of a table, by indices that are certainly inside the table."""
+    """Return rows of a table by indices that are certainly valid."""
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances of corners in units, as those of centers nearby and small differences.
+    """Distances between corners in units, compressed as distances between centers plus small differences.
 
     Attributes:
-        center: Number of the center of each corner, which a short path joins to it.
-        between_centers: Their distances, at least :data:`FAR` if there is no path.
-        differences: How much longer each corner's way to those before it and to itself is than that between their
-            centers, row by row of a triangle.
+        center: Center of each corner, which a short path joins to it.
+        between_centers: Distances between centers, at least :data:`FAR` without a path.
+        differences: Distance minus that of the centers, for each corner and the corners up to it, as triangle rows.
     """
 
     center: Integer[Array, "corners"]
@@ -266,7 +267,7 @@ class CornerTable:
     differences: Integer[Array, "triangle"]
 
     def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
-        """Distances in units between corners, at least :data:`FAR` without a path."""
+        """Return distances between corners in units, at least :data:`FAR` without a path."""
         high, low = jnp.maximum(a, b), jnp.minimum(a, b)
         center, other = (looked_up(self.center, corner).astype(jnp.int32) for corner in (a, b))
         between = looked_up(self.between_centers.ravel(), center * len(self.between_centers) + other)
@@ -276,12 +277,12 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances of corners to their ancestors in units, from the last one taken out to themselves.
+    """Distances from corners to their ancestors in units, from the last eliminated ancestor to the corner itself.
 
     Attributes:
-        first: Where the ancestors of each corner begin, and their number.
-        ancestor: Numbers of these.
-        length: Their distances.
+        first: Index of the first ancestor of each corner, then the number of entries.
+        ancestor: Ancestors of all corners.
+        length: Distances to them.
     """
 
     first: Int32[Array, "corners_plus_one"]
@@ -289,7 +290,7 @@ class CornerLabels:
     length: Int32[Array, "ancestors"]
 
     def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
-        """As those of a table: the least sum over common ancestors."""
+        """Return distances between corners: the least sum over common ancestors."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         common = jnp.minimum(
             *(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b))
@@ -319,16 +320,16 @@ _Edges = list[dict[int, int]]
 
 
 def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
-    """Distances between all corners of a grid, in row-major order.
+    """Return distances between all corners of a grid, in row-major order.
 
     Raises:
-        ValueError: If paths are so long that their lengths do not fit into 30 bits, if the tables would take too many
-            bytes, or if so many corners are in passages so wide that taking them out would take minutes.
+        ValueError: If path lengths exceed 30 bits, tables exceed their byte limit, or elimination would take minutes
+            because many corners lie in wide passages.
     """
-    most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # to which a query adds the rest
+    most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
     if most < 0:
         raise ValueError(_TOO_LONG)
-    # 1. The graph of corners in sight: the length of each corner's edges, by the other end.
+    # 1. Build the graph of corners that see each other: edge lengths by their other end.
     places = np.flatnonzero(corner_cells(free))
     ends = corners_in_sight(free, connectivity)
     (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
@@ -340,7 +341,7 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
     has_table = len(edges) <= MOST_IN_TABLE
     if has_table and size * kind.itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
-    # 2. Elimination, and the distances of the corners that were taken out last first.
+    # 2. Eliminate corners, and compute distances in reverse order.
     with tqdm(
         desc="construct_grid_pairs", unit=" corners", total=2 * len(edges), delay=2, leave=False, disable=None
     ) as progress:
@@ -351,12 +352,12 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    part = np.arange(len(order))  # that paths join: all are taken out of it but one that has no neighbors left
+    part = np.arange(len(order))  # connected component: the last eliminated corner has no neighbors left
     for corner in reversed(order):
         part[corner] = part[next(iter(uppers[corner]), corner)]
     if np.count_nonzero(distances < most) != (np.bincount(part, minlength=1) ** 2).sum():
         raise ValueError(_TOO_LONG)
-    # 3. Centers, so many that each corner is near one, and differences from the distances between centers.
+    # 3. Choose centers so that each corner is near one, and store differences from distances between centers.
     radius = _MOST_STEPS_FROM_CENTER[connectivity] * STRAIGHT[connectivity]
     center, centers = np.full(len(distances), -1), []
     for corner, row in enumerate(distances):
@@ -374,9 +375,9 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
-    """An order of elimination, and the neighbors that each corner has when it is taken out.
+    """Return an elimination order, and the neighbors that each corner has at its elimination.
 
-    Of corners with as few neighbors those are first that are not above others, so that chains have few ancestors.
+    Among corners with equally few neighbors, take those with few ancestors below them first: chains stay short.
     """
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
@@ -390,7 +391,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
         is_left[corner] = False
         order.append(corner)
         num_edges, work = num_edges + len(nearby), work + len(nearby) ** 2
-        is_labeled = len(edges) > MOST_IN_TABLE  # then each neighbor is one of the ancestors
+        is_labeled = len(edges) > MOST_IN_TABLE  # neighbors are ancestors then
         if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > _MOST_BYTES):
             raise ValueError(_TOO_LARGE)
         progress.update()
@@ -406,7 +407,6 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
-    """Distances of all corners to their ancestors, those of the last ones first."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
@@ -428,7 +428,7 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
         ancestor[above] = ancestor[first[parent[corner]] : first[parent[corner] + 1]]
         nearby = np.array(list(uppers[corner]))
         lengths = np.fromiter(uppers[corner].values(), np.int64, len(nearby))
-        # Of a neighbor and an ancestor one is above the other, whose list has their distance.
+        # One of a neighbor and an ancestor is an ancestor of the other, whose list has their distance.
         places = np.arange(depth[corner])
         of_neighbor = first[nearby][:, None] + places
         of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
@@ -438,7 +438,6 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
-    """Distances of all corners, those that were taken out last first."""
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

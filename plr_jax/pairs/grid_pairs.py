@@ -1,6 +1,6 @@
-r"""Distances between all pairs of cells of a grid: queries, the file, and code of C.
+r"""Distances between all pairs of cells of a grid: queries, the file, and C code.
 
-The file holds the grid alone, from which all else follows. All numbers are little-endian:
+The file holds only the grid; everything else follows from it. All numbers are little-endian:
 
     4s      magic, b"PGP\n"
     u8      version: 1
@@ -8,13 +8,13 @@ The file holds the grid alone, from which all else follows. All numbers are litt
     u32     number of rows
     u32     number of columns
     u32     size of the whole file in bytes
-    ...     bit stream, see ``plr/coding.py``: the set of the cells that differ from the one above, in row-major
-            order; above the first row all are blocked
-    u32     CRC-32 of all bytes before
+    ...     bit stream, see ``plr/coding.py``: the set of cells that differ from the cell above, in row-major order;
+            above the first row all are blocked
+    u32     CRC-32 of all previous bytes
 
-In C99 there is a header with the code of a query, and a file of its tables that a program maps. A query is that of
-``grid_query.py`` in integers. All that depends on the grid but for its tables is written into the header as
-constants; tables stand one after the other in the file, each at a multiple of 64 bytes.
+For C99 there is a header with the code of a query, and a file of tables that a program maps. A query is that of
+``grid_query.py`` in integers. The header holds constants of the grid. The tables follow one another in the file, each
+aligned to 64 bytes.
 """
 
 import re
@@ -47,16 +47,16 @@ from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.portable.writers import require_identifier
 
 MOST_CELLS = 2**22
-"""Cells of the largest grid."""
+"""Largest number of cells of a grid."""
 
 _VERSION, _HEADER, _CRC = 1, struct.Struct("<4sBBIII"), struct.Struct("<I")
-_ALIGNED = 64  # bytes, of tables in the file that C reads
+_ALIGNED = 64  # bytes to which tables of the C file are aligned
 _TEMPLATE = Path(__file__).with_name("grid_pairs.h")
 _C_MAGIC = b"plr_jax grid 1\n\0"
 
 
 def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
-    """The bytes of a grid's file."""
+    """Return the bytes of a grid's file."""
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
     size = _HEADER.size + len(body) + _CRC.size
     data = _HEADER.pack(GRID_MAGIC, _VERSION, connectivity, *free.shape, size) + body
@@ -64,7 +64,7 @@ def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> by
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
-    """The grid and its connectivity, as they were encoded; raises ``ValueError`` saying what is wrong."""
+    """Return the grid and connectivity of a file; raise ``ValueError`` with the reason if that fails."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
@@ -89,11 +89,11 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
 
 @dataclass(frozen=True, eq=False)
 class GridHeader:
-    """A header and the file that it reads.
+    """A C header and the file that it reads.
 
     Attributes:
-        text: The header.
-        table: The bytes of the file.
+        text: Text of the header.
+        table: Bytes of the file.
     """
 
     text: str
@@ -103,12 +103,12 @@ class GridHeader:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class DistanceToCell:
-    """Distance to one cell of a grid, a `DistanceFn`; made by :meth:`GridPairs.to`.
+    """Distance to one cell of a grid, a `DistanceFn` made by :meth:`GridPairs.to`.
 
     Attributes:
-        tables: Those of all pairs.
+        tables: Tables of all pairs.
         goal: Row and column of the cell.
-        from_goal: Distance of each corner to it, in units, by way of corners.
+        from_goal: Distance, in units, from the cell to each corner, through corners.
     """
 
     tables: GridTables
@@ -127,17 +127,17 @@ class DistanceToCell:
 
     @property
     def is_lower_bound(self) -> bool:
-        """True: it is never above the distance over the grid."""
+        """True: the answer never exceeds the distance on the grid."""
         return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """What :meth:`GridPairs.__call__` answers with the goal, bit for bit.
+        """Return distances to the goal, bit for bit those of :meth:`GridPairs.__call__`.
 
         Args:
             x: Points, ``(..., 2)``.
 
         Returns:
-            Distances in steps, ``(...)``; ``inf`` as there.
+            Distances in steps, ``(...)``; ``inf`` as for :meth:`GridPairs.__call__`.
 
         Raises:
             ValueError: If ``x`` has another shape.
@@ -148,19 +148,19 @@ class DistanceToCell:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridPairs:
-    """Length of a shortest path between any two cells of a grid, never above the truth.
+    """Lengths of shortest paths between any two cells of a grid, never above the truth.
 
-    Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
-    quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
-    from it when it is loaded, in as much time as building took: a second, or some of two million cells. On
-    4-connected grids answers are exact. On 8-connected ones they are as exact as 32-bit floats, always rounded down,
-    by less than 1e-6 of themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the
-    proof.
+    Made by :func:`construct_grid_pairs`. The file holds only the map, in one or two kilobytes for a quarter of a
+    million cells. Corners of obstacles, their distances and the corner lists of cells are computed again on loading.
+    That takes as long as construction: a second, or a few for two million cells.
 
-    It is a pytree of arrays: a jitted function can close over it or take it as an argument.
+    Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than 1e-6 of
+    themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
+
+    GridPairs is a pytree of arrays: a jitted function can close over it or take it as an argument.
 
     Attributes:
-        tables: What a query reads.
+        tables: The tables that a query reads.
         file: The bytes that :func:`save` writes.
     """
 
@@ -172,18 +172,18 @@ class GridPairs:
         return f"GridPairs({rows} x {columns} cells, {self.tables.connectivity}-connected, {self.num_bytes} bytes)"
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Number of steps, or length, of a shortest path between the cells of points.
+        """Return the number of steps, or the length, of a shortest path between the cells of points.
 
-        Symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
+        Answers are symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
 
         Args:
-            x: Points, ``(..., 2)``; the cell in row ``r`` and column ``c`` has those with ``c <= x < c + 1`` and
+            x: Points, ``(..., 2)``. The cell in row ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and
                 ``r <= y < r + 1``.
             y: Points that broadcast against them.
 
         Returns:
-            Distances, ``(...)``. ``inf`` if no path joins the cells, one is blocked, or
-            a point is outside the grid or has a NaN.
+            Distances, ``(...)``; ``inf`` if no path joins the cells, a cell is blocked, or a point is outside the
+            grid or NaN.
 
         Raises:
             ValueError: If the shapes do not fit.
@@ -192,11 +192,13 @@ class GridPairs:
         try:
             shape = np.broadcast_shapes(*(one.shape for one in points))
         except ValueError:
-            raise ValueError(f"x and y must be of one shape, got {points[0].shape} and {points[1].shape}.") from None
+            raise ValueError(f"x and y must broadcast, got shapes {points[0].shape} and {points[1].shape}.") from None
         return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Proven bounds of the length of a shortest path: what is answered, and above it what rounding may take off.
+        """Return proven bounds of the length of a shortest path.
+
+        The lower bound is the answer of a call; the upper bound adds what rounding may take off.
 
         Args:
             x: Points, as for a call.
@@ -212,22 +214,22 @@ class GridPairs:
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
-        """Steps to goals from all cells around agents, as many rows and columns to each side as ``radius``.
+        """Return steps to goals from all cells in squares around agents.
 
-        A function is compiled for each number of agents and radius. It may be called in jitted functions.
+        A function is compiled for each number of agents and radius. It works inside jitted functions.
 
         Args:
-            goals: A point of the goal's cell of each agent, ``(n, 2)``.
-            positions: A point of the cell that each agent is in, ``(n, 2)``.
-            radius: Cells to each side, at least 0.
+            goals: A point in the goal cell of each agent, ``(n, 2)``.
+            positions: A point in the cell of each agent, ``(n, 2)``.
+            radius: Cells on each side of an agent, at least 0.
 
         Returns:
-            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, by rows, along ``y``, and columns, in steps; of
-            8-connected grids rounded down to whole ones. -1 in cells from which no path leads to the goal: blocked
-            ones, those outside the grid, and all where the agent is outside of it, or the goal is or is blocked.
+            Distances in steps, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. On 8-connected
+            grids they are rounded down to whole steps. A cell has -1 if no path leads from it to the goal, if it is
+            blocked or outside the grid, and if the agent or the goal is outside the grid or the goal is blocked.
 
         Raises:
-            ValueError: If the points have other shapes, or the radius is no such number.
+            ValueError: If the points have other shapes, or the radius is not an integer of at least 0.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
@@ -239,7 +241,7 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Distances to one cell, several times as fast a query.
+        """Return the distance to one cell; its queries are several times as fast.
 
         Args:
             goal: A point of the cell, ``(2,)``.
@@ -248,7 +250,7 @@ class GridPairs:
             The distance function.
 
         Raises:
-            ValueError: If the goal is in no free cell.
+            ValueError: If the goal is not in a free cell.
         """
         goal = as_finite_point("The goal", goal, 2)
         if not np.isfinite(self(goal, goal)):
@@ -273,28 +275,28 @@ class GridPairs:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners of obstacles between which distances are kept."""
+        """Number of corners of obstacles with stored distances."""
         return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
-        """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
+        """Return the bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
         return np.asarray(self.file).tobytes()
 
     def c_header(self, name: str) -> GridHeader:
-        """Code of C99, also valid C++, that answers as this does, and the file of tables that it reads.
+        """Return C99 code, also valid C++, that answers the same queries, and its file of tables.
 
         ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their numbers in row-major order. Programs
-        map the file (``mmap``) or read it, and give its bytes to ``NAME_open``. Nothing is allocated, and threads
-        may ask at once.
+        map the file (``mmap``) or read it, and pass its bytes to ``NAME_open``. The code allocates nothing and is
+        safe in threads.
 
         Args:
-            name: With which all that the header defines begins, an identifier of C.
+            name: Prefix of all definitions, a C identifier.
 
         Returns:
             The ``text`` of the header, and the bytes of its ``table``.
 
         Raises:
-            ValueError: If the name is no identifier of C.
+            ValueError: If the name is not a C identifier.
         """
         require_identifier(name)
         tables = self.tables
@@ -303,7 +305,7 @@ class GridPairs:
         arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
         arrays |= {each: getattr(tables, each) for each in ("group_block", "cell_block", "blocks", "row", "column")}
         arrays |= {each.name: getattr(distances, each.name) for each in fields(distances)}
-        # 1. The file of tables, and a function of C that reads each table.
+        # 1. Write the file of tables, and a C function that reads each table.
         table, accessors = _C_MAGIC, []
         for of, array in arrays.items():
             data = np.ascontiguousarray(np.asarray(array)).astype(array.dtype.newbyteorder("<"))
@@ -315,7 +317,7 @@ class GridPairs:
             )
             table += data.tobytes()
         table += zlib.crc32(table).to_bytes(4, "little")
-        # 2. The text: sections of the template, whose marks are replaced by what is known of the grid.
+        # 2. Write the text: sections of the template, with marks replaced by constants of the grid.
         sections = dict(
             re.findall(r"^@@ ([\w ]+)\n(.*?)(?=^@@|\Z)", _TEMPLATE.read_text(encoding="utf-8"), re.M | re.S)
         )
@@ -350,9 +352,9 @@ class GridPairs:
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
-        """What :meth:`to_bytes` gave; it answers alike, bit for bit.
+        """Restore pairs from the result of :meth:`to_bytes`; they answer the same, bit for bit.
 
-        This takes as long as construction. If interrupted (Ctrl-C), there is nothing.
+        This takes as long as construction. An interrupt (Ctrl-C) discards the work.
 
         Args:
             data: The bytes.
@@ -361,7 +363,7 @@ class GridPairs:
             The distances of pairs.
 
         Raises:
-            ValueError: If the bytes are truncated, corrupt, or none of such a file, or as for
+            ValueError: If the bytes are truncated, corrupt or of another kind, or as for
                 :func:`construct_grid_pairs`.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
@@ -371,27 +373,27 @@ class GridPairs:
 
 
 def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
-    """Distances between all pairs of cells of a grid.
+    """Compute distances between all pairs of cells of a grid.
 
-    Of two million cells of a game's map that takes some seconds, and a gigabyte; most of it goes with the number of
-    cells times that of corners which each is taut at. Up to 2**14 corners of obstacles all distances between these
-    are kept; of more, as mazes have, those that narrow passages leave over.
+    A game map of two million cells takes some seconds and a gigabyte, mostly in proportion to the number of pairs of
+    a cell and a corner at which the cell is taut. Up to 2**14 corners of obstacles, all distances between them are
+    kept. For more corners, as in mazes, only distances across narrow passages are kept.
 
     Args:
-        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells. Or which cells are
-            free, ``(rows, columns)``, of a 4-connected one.
+        graph: The grid, such as a :class:`GridGraph` with or without a goal, of at most 2**22 cells. Or an array
+            ``(rows, columns)`` of the free cells of a 4-connected grid.
 
     Returns:
-        The distances, a pytree. If interrupted (Ctrl-C), there are none, and ``KeyboardInterrupt`` is raised.
+        The distances, a pytree. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
 
     Raises:
-        ValueError: If ``graph`` is no grid, or has more than 2**22 cells, paths of an 8-connected one are longer than
-            a million steps, or a table would take more than 2**30 bytes, or minutes.
+        ValueError: If ``graph`` is not a grid or has more than 2**22 cells, if paths of an 8-connected grid are
+            longer than a million steps, or if a table would take more than 2**30 bytes or minutes.
 
     References:
         See ``plr_jax/pairs/GRIDS.md``.
     """
-    from plr_jax.oracles import GridGraph  # and with it Shapely, which queries need not
+    from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 
     if not isinstance(graph, GridGraph):
         try:
@@ -406,9 +408,9 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
-    """Points ``(..., 2)``; those of NumPy rounded down to whole numbers in their own precision."""
+    """Return points ``(..., 2)``; NumPy points are rounded down in their own precision."""
     if not isinstance(x, jax.Array):
-        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both are outside
+        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both ends are outside
     elif jax.numpy.iscomplexobj(x):
         raise ValueError(f"{name} must be points (..., 2) of real numbers, got an array of {x.dtype}.")
     if x.shape[-1:] != (2,):

@@ -1,9 +1,13 @@
-"""Distances of pairs of cells, in JAX: the open length if they see each other, else the least sum over corners.
+"""Distances between pairs of grid cells in JAX.
 
-Cells have from none to dozens of corners, and a pair takes the product of two such numbers. But no path over a
-corner is shorter than the open way over it: once a way is known, over the corners whose open way is the shortest,
-most others need not be looked at. Pairs are sorted by how many blocks of corners their cells have, then by how many
-pairs of blocks are left, and taken in chunks of pairs of about as many.
+The distance of cells that see each other is the open length. Any other is the least sum over a corner of each cell:
+two legs and the distance between the corners. Cells have up to dozens of corners, and a pair takes their product. But
+no path over a corner is shorter than the open length over it, so a known path rules out most corners:
+
+1. Sort pairs by their numbers of corner blocks. Find, for each, the path over the corners with the shortest open
+   length.
+2. Mark the blocks of corners that may give a shorter path.
+3. Sort pairs by the number of pairs of marked blocks. Try these, in chunks of pairs with about equal work.
 """
 
 from collections.abc import Callable
@@ -30,7 +34,7 @@ from plr_jax.pairs.grid_corners import (
     taut_corners,
 )
 
-_WAYS, _IN_ROWS = 3, 2  # tables of a grid, and the place among them of that of its rows
+_WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
 
 Cells = Int[Array, "n 2"]
 """Row and column of each of some cells of the grid."""
@@ -39,14 +43,14 @@ Cells = Int[Array, "n 2"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class IllegalSteps:
-    """Sums that tell which cells see each other, see :func:`sees`.
+    """Prefix sums that tell which cells see each other (:func:`sees`).
 
     Attributes:
-        sums: Tables with a row and a column of zeros before those of the grid, one after the other. Of a 4-connected
-            grid, blocked cells above and before each. Of an 8-connected one, illegal diagonal steps as it is, and
-            mirrored, and blocked cells before each in its row; then these three of the transposed grid. Only those
-            beside a free cell count.
-        free: Bits of the cells in row-major order, the lowest of a word first.
+        sums: Flattened tables with a row and a column of zeros in front. For a 4-connected grid, one table counts the
+            blocked cells above and before each cell. For an 8-connected grid, two tables count illegal diagonal
+            steps, of the grid and of its mirror image, and one counts blocked cells before each cell in its row; the
+            same three follow for the transposed grid. Only cells and steps beside a free cell count.
+        free: Bits of the cells in row-major order, lowest bit of a word first.
         shape: Rows and columns of the grid.
         connectivity: 4 or 8.
     """
@@ -88,25 +92,25 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
-    """Whether cells of the grid are free."""
+    """Return whether cells of the grid are free."""
     cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
     return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
-    """Whether cells of the grid see each other; blocked ones see none."""
+    """Return whether cells see each other; a blocked cell sees none."""
 
     def between(row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]) -> Int[Array, "n"]:
-        """What the sums of a row, which begins there, increase by from before a column to the last one."""
+        """Return the sum over a range of columns, of the row that begins at an index."""
         return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
 
-    if sight.connectivity == 4:  # No cell of the rectangle between the two is blocked.
+    if sight.connectivity == 4:  # the rectangle between the cells must be free
         (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
-    # No diagonal step in the parallelogram between the two is illegal, and of cells in one line none is blocked. The
-    # grid is looked at so that the way leads to higher rows and columns, by no fewer columns than rows.
+    # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked. Transpose
+    # and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     way = q - p
     transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0
@@ -130,18 +134,14 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
 
 
 def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
-    """The same in as few bytes each as do."""
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
-# What a query of pairs reads: all derived from the cells of a grid.
-
-
 BLOCK = 4
-"""Corners of a cell that a query reads at once."""
+"""Corners of a cell read in one step."""
 
 GROUP = 16
-"""Cells whose blocks are counted from where those of the first begin."""
+"""Cells whose block offsets share a base."""
 
 
 @jax.tree_util.register_dataclass
@@ -151,12 +151,12 @@ class GridTables:
 
     Attributes:
         sight: Which cells see each other.
-        group_block: Where the blocks of each 16 cells begin, in row-major order.
-        cell_block: How much later those of each cell begin; of one more at the end.
-        blocks: Numbers of corners; the last of a cell is repeated to fill its last block.
+        group_block: Index of the first block of each group of 16 cells, in row-major order.
+        cell_block: Offset of the first block of each cell from that of its group, and one more at the end.
+        blocks: Corner numbers; a cell repeats its last corner to fill its last block.
         row: Row of each corner.
         column: Column of each corner.
-        distances: Those between corners.
+        distances: Distances between corners.
     """
 
     sight: IllegalSteps
@@ -179,9 +179,9 @@ class GridTables:
 
 
 def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
-    """The tables of a grid; raises ``ValueError`` if one of them takes too many bytes."""
+    """Build the tables of a grid; raise ``ValueError`` if a table takes too many bytes."""
     first, corners = taut_corners(free, connectivity)
-    # The corners of each cell in blocks, the last of which repeats the cell's last corner.
+    # Pack the corners of each cell into blocks.
     counts = np.diff(first)
     num_blocks = -(-counts // BLOCK)
     first_block = np.concatenate([[0], np.cumsum(num_blocks)])
@@ -203,29 +203,28 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
         jnp.asarray(column),
         distances=corner_distances(free, connectivity),
     )
-    # An empty table is read as well, though what is read is not used.
+    # Queries read empty tables too and ignore the value: give these one entry.
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
     )
 
 
 _BLOCKS_AT_ONCE = 2**20
-_SORTED_BITS = 18  # of the place of a pair among those that are sorted at once
-_CHUNK = 1024  # pairs taken at once
-_MOST_TOLD = 2**7 - 1  # blocks of cells, as told apart when pairs are sorted
+_SORTED_BITS = 18  # bits of the index of a pair among those sorted together
+_CHUNK = 1024  # pairs per chunk
+_MOST_TOLD = 2**7 - 1  # block counts above it are equal for sorting
 _WORD = 32  # bits
-_ROUNDING = 2.0**-22  # more than what rounding in 32 bits can add, as a share
+_ROUNDING = 2.0**-22  # relative error above that of rounding in 32 bits
 
 SLACK = 2.0**-20
-"""How far below the truth an answer of an 8-connected grid may be, as a share: what a query rounds down, and a
-diagonal step's length."""
+"""Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step."""
 
 
 @jax.jit
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Length of a shortest path between the cells of points; ``inf`` without one, or where a point is in none."""
+    """Return lengths of shortest paths between cells of points; ``inf`` without a path or outside the grid."""
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
@@ -235,7 +234,7 @@ def evaluate_pairs(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """As :func:`evaluate_pairs`, with one cell whose distance from each corner is known."""
+    """Return the same for one goal cell, given its distance from each corner."""
     p, inside = _cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
@@ -252,7 +251,7 @@ def evaluate_to(
 
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
-    """Distance in units of each corner from a cell by way of the corners at which the cell is taut."""
+    """Return the distance in units from a cell to each corner, through the corners at which the cell is taut."""
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
@@ -261,14 +260,14 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
 
 
 def _cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
-    """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
+    """Return the cell (row, column) of each point, any cell for points outside, and whether it is inside."""
     place = jnp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """Lengths in units of shortest paths between cells, at least ``FAR`` without one."""
+    """Return lengths of shortest paths between cells in units, at least ``FAR`` without a path."""
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
     pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
@@ -276,7 +275,6 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """As above, of at most as many pairs as are sorted at once."""
     seen = sees(tables.sight, p, q)
     first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
     chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
@@ -293,7 +291,7 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"
 
 
 def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
-    """Numbers of pairs, those with about as much work, less than 2**14, side by side."""
+    """Return indices of pairs in chunks of about equal work per pair; work is less than 2**14."""
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
@@ -303,22 +301,24 @@ def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
 def _most_likely(
     tables: GridTables, p: Cells, q: Cells, seen: Bool[Array, "n"]
 ) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
-    """Length of the way over the corners of both cells nearest to both, and which blocks may have better corners.
+    """Return the path length over the corners nearest to both cells, and the blocks that may have better corners.
 
-    No path over a corner is shorter than the open way over it. Of cells that see each other no corner is looked at.
+    The open length over a corner bounds every path over it from below. Pairs that see each other need no corner.
     """
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
     length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
-    to_beat = jnp.where((length < FAR) & ~seen, length, 0)  # if no path joins these corners none joins any
+    to_beat = jnp.where(
+        (length < FAR) & ~seen, length, 0
+    )  # without a path between these corners there is none between any
     return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
 
 
 def _nearest_to_both(
     tables: GridTables, cells: Cells, others: Cells, seen: Bool[Array, "n"]
 ) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
-    """The corner of each cell on the shortest open way to another, and how far the cell is from it."""
+    """Return the corner of each cell on the shortest open path to the other, and its distance."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
@@ -336,7 +336,7 @@ def _nearest_to_both(
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
-    """Which of the first 32 blocks of each cell have a corner whose open way to another is shorter than a path."""
+    """Return bits of the first 32 blocks of each cell: whether an open path over a corner is shorter."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -351,23 +351,21 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int3
 
 
 class _Left(NamedTuple):
-    """Cells, and which of the first 32 blocks of each may have better corners; of those behind these all may."""
+    """Cells with the bits of the first 32 blocks still to try; blocks behind these are always tried."""
 
     cells: Cells
     blocks: UInt32[Array, "n"]
 
     def words(self, tables: GridTables) -> Int32[Array, ""]:
-        """How many words with a bit for each block there are."""
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
     def word(self, tables: GridTables, number: Int[Array, ""]) -> UInt32[Array, "n"]:
-        """One of these words."""
         behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
         every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
         return jnp.where(number == 0, self.blocks, every)
 
     def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
-        """Those of the block of the lowest bit; of any one without a bit."""
+        """Return the corners of the block of the lowest bit; of any block if there is no bit."""
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
@@ -376,7 +374,7 @@ class _Left(NamedTuple):
 def _least_of_those_left(
     tables: GridTables, left: _Left, others_left: _Left, length: Int32[Array, "n"]
 ) -> Int32[Array, "n"]:
-    """The length, or less over a corner of a block that is left, a corner of one of the other's, and to the other."""
+    """Return the smaller of a length and the paths over the remaining blocks of both cells."""
 
     def with_words(words: Int[Array, ""], length: Int32[Array, "n"]) -> Int32[Array, "n"]:
         word, other_word = jnp.divmod(words, others_left.words(tables))
@@ -406,7 +404,6 @@ _BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
-    """Open lengths between cells and corners."""
     rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
     return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
 
@@ -417,9 +414,9 @@ def _least_around(
     onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
 ) -> Int32[Array, "n"]:
-    """Least length of a path from each cell by way of one of its corners to one end; far if it has none.
+    """Return the least length of a path from each cell over one of its corners, ``FAR`` without corners.
 
-    ``onward`` gives the lengths of the rest of the way, from four corners of each cell.
+    ``onward`` returns the lengths from four corners of each cell to the end of the path.
     """
     first, count = _blocks_of(tables, cells)
 
@@ -432,7 +429,7 @@ def _least_around(
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
-    """Where the blocks of each cell's corners begin, and how many there are."""
+    """Return the index of the first block of each cell, and its number of blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
@@ -444,12 +441,12 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
 def _corners_of_block(
     tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
 ) -> Int32[Array, "n 4"]:
-    """The corners of the blocks of one number; of a cell with fewer blocks those of its last one, again."""
+    """Return the corners of a block of each cell, clamped to its last block."""
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
 def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
-    """Lengths of units in steps, never rounded up; ``inf`` if far, or not inside."""
+    """Return lengths in steps, never rounded up; ``inf`` without a path or outside."""
     whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
     part = rest / STRAIGHT[connectivity]
     whole = whole.astype(part.dtype)
@@ -457,10 +454,10 @@ def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, 
     return jnp.where(inside & (length < FAR), steps, jnp.inf)
 
 
-_RIM_CELLS_AT_ONCE = 2**13  # cells of rims whose distances are computed together
-_AGENTS = 1024  # whose squares are looked at at once
+_RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
+_AGENTS = 1024  # agents whose squares are computed together
 
-# Agents are the last axis, along which processors work on many numbers at once.
+# Agents are the last axis, so that processors vectorize over them.
 Square = Int32[Array, "width width n"]
 Rim = Int32[Array, "rim n"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
@@ -471,7 +468,7 @@ _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
-    """Whole steps from each cell of the squares around the cells of positions to those of goals; -1 without a way."""
+    """Return whole steps to goals from each cell of squares around positions; -1 without a path."""
     (goal, goal_inside), (position, inside) = (_cells_of(tables.shape, points) for points in (goals, positions))
     offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
@@ -479,13 +476,13 @@ def distances_around(
     in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
 
-    # The rim of a square, from cell to neighboring cell, beginning with a corner.
+    # Number the rim of a square from cell to neighbor cell, starting at a corner.
     side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
     around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
     if radius == 0:
         around = np.zeros(1, int), np.zeros(1, int)
     cells = jnp.stack([row[around], column[around]], axis=-1)
-    # The corners toward the goal and away from it: mostly what is between them is so far that it needs no asking.
+    # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
     turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
     asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
     lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
@@ -503,13 +500,17 @@ def _lengths_of_rim(
     goal: Int32[Array, "n 2"],
     asked_first: Bool[Array, "rim n"],
 ) -> Rim:
-    """Lengths from the cells of rims to goals in units, at least ``FAR`` where there is no path."""
+    """Return lengths in units from the cells of square rims to goals, at least ``FAR`` without a path.
+
+    Between two known cells whose lengths differ by the number of steps between them, lengths follow. Else ask for the
+    cell in the middle.
+    """
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-        """Place and length of the last known cell until each, or of the first from each on."""
+        """Return place and length of the nearest known cell before each, or after it if reversed."""
 
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
             place, length, is_known = cell
@@ -521,7 +522,7 @@ def _lengths_of_rim(
     def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
         lengths, known, wanted = state
         lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
-        # What is free is known at both ends of each row of free cells; the rim ends where it begins.
+        # Both ends of each run of free cells are known. The rim is a cycle.
         begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
         at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
         before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
@@ -544,13 +545,12 @@ def _asked(
     lengths: Rim,
     wanted: Bool[Array, "rim n"],
 ) -> Rim:
-    """The lengths, and those of the wanted cells."""
     size = min(_RIM_CELLS_AT_ONCE, wanted.size)
     every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
     none = jnp.zeros_like(lengths[0])
     count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
     end = jnp.cumsum(count)
-    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # agent by agent
+    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # wanted cells, agent by agent
     number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
     flat = cells.reshape(-1, 2)
 
@@ -558,7 +558,7 @@ def _asked(
         asked = lax.dynamic_slice(number, (some * size,), (size,))
         of = jnp.minimum(asked, wanted.size - 1)
         start = goal[of % len(goal)]
-        # Behind the last are cells that see themselves, which takes next to no time.
+        # Padding asks for the distance of a cell to itself, which is quick.
         ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
         found = lengths_between_cells(tables, *ends)
         return lengths.at[asked].set(found, mode="drop")
@@ -567,7 +567,6 @@ def _asked(
 
 
 def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
-    """Lengths over the squares from where they are known, at least ``FAR`` where no path leads to."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 
@@ -575,7 +574,7 @@ def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
-        """Lengths with those that steps from row to row lead to."""
+        """Return lengths after steps from row to row."""
 
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
@@ -604,7 +603,7 @@ def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n
 
         return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
 
-    # As many agents at once as caches hold.
+    # Take as many agents at once as fit into caches.
     agents = lengths.shape[-1]
     size = min(_AGENTS, max(agents, 1))
 

@@ -1,12 +1,11 @@
-"""What hides points from one another: walls near a leaf that lists a corner, and occluders.
+"""Fast tests of what hides points from one another: walls near a listed corner, and occluders.
 
-Walls that may hide a corner from somewhere in a leaf that lists it are between the two. They are few, as most corners
-are seen from all of the leaf. What is not between a larger box and a corner is not between a part of it and the
-corner. So walls are ruled out for runs of leaves first, and then for ever shorter ones.
+Near walls: a wall can hide a corner from a point of a leaf only if it is between the two. Such walls are few, as most
+listed corners are visible from all of the leaf. They are found for runs of neighbor leaves first, then for ever
+shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
 
-Occluders are a few long chords of obstacles that hide most points from one another. A line that crosses a chord
-inside an obstacle is blocked, whatever the walls are. A few dozen chords stand for most walls. The chords that hide
-most of some random pairs of points are chosen, as long as each saves more time than its own test takes.
+Occluders: long chords of obstacles. A segment that crosses a chord is blocked. Greedily choose the chords that block
+most of some random pairs, as long as each saves more time than its test takes; a few dozen replace most wall tests.
 """
 
 from dataclasses import dataclass, field
@@ -21,27 +20,28 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
 
-_RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in the tree's traversal
+_RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4
-_COST = 4  # of all walls, as many are tested in the time of one that is read for each point
-_AT_ONCE = 2**14  # pairs of an entry and a wall
-_BLOCK = 2**20  # pairs of a corner and a wall: of as many corners, the walls near all entries are found together
-_MOST_TESTS = 2**25  # of a block, in one round
-_MOST_PAIRS = 2**24  # of an entry and a wall near it
-_PAIRS = 2**12  # random pairs of points, among which hidden pairs are counted
-_MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords of an obstacle that are tried
-_CLEAR = 2e-6  # widths of the domain: rounding may put a point that is nearer across an occluder's line
+_COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
+_AT_ONCE = 2**14  # pairs of an entry and a wall tested together
+_BLOCK = 2**20  # pairs of a corner and a wall handled together
+_MOST_TESTS = 2**25  # tests of a block in one round
+_MOST_PAIRS = 2**24  # pairs of an entry and a near wall, by memory
+_PAIRS = 2**12  # random pairs of points by which occluders are chosen
+_MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
+_CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class NearWalls:
-    """Walls near each entry of the leaves' lists, one entry's behind the other's.
+    """Walls near each list entry, entry by entry.
 
     Attributes:
-        ends: Ends of the walls, a row a coordinate.
-        first: Where those of each entry begin.
-        most: How many one entry has at most; to read as many for all does no harm, as all are walls.
+        ends: Wall ends, one row for each coordinate.
+        first: Index of the first wall of each entry.
+        most: Largest number of walls of an entry. Queries read this many for every entry, which does no harm: all are
+            walls.
     """
 
     ends: Float[Array, "4 walls"]
@@ -58,7 +58,7 @@ class NearWalls:
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Those of :func:`near_entries`, for lists of a shape; None if to test all walls takes no longer."""
+        """Return the walls of :func:`near_entries` for padded lists; None if testing all walls is as fast."""
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -71,7 +71,7 @@ class NearWalls:
         return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
 
     def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
-        """Ends of walls among which are those near some entries."""
+        """Return wall ends that include all walls near given entries."""
         first = self.first[leaf, place]
         along = jnp.arange(self.most, dtype=jnp.uint32)[None]
         return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
@@ -86,20 +86,19 @@ def near_entries(
     margin: float,
     most: int,
 ) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
-    """Pairs of an entry of a list and a wall near the hull of the leaf's box and the corner listed.
+    """Find the walls near the convex hull of a leaf's box and a corner that it lists.
 
     Args:
-        boxes: Lower and upper corners of the leaves' boxes, in the order of the tree's traversal.
-        leaf: The leaf of each entry of the lists, ascending.
-        listed: Its corner.
-        corners: Where all corners are.
-        walls: Ends of the walls.
-        margin: The distance. Few other walls are told too.
-        most: How many walls may be near one entry.
+        boxes: Lower and upper corners of the leaves' boxes, in traversal order.
+        leaf: Leaf of each list entry, ascending.
+        listed: Corner of each entry.
+        corners: Positions of all corners.
+        walls: Wall ends.
+        margin: Distance within which walls are near. A few other walls are returned too.
+        most: Largest number of walls near an entry.
 
     Returns:
-        The entry of each pair, ascending, and its wall. None if more are near an entry, or in all more than memory
-        should hold.
+        The entry of each pair, ascending, and its wall. None if an entry, or all together, exceed the limits.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -128,7 +127,7 @@ def _near_entries(
     walls: Float[np.ndarray, "walls 4"],
     margin: float,
 ) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
-    """Pairs of an entry and a wall near its hull, the entry ascending; corners have numbers. None if too many."""
+    """Find the pairs for some entries, whose corners have consecutive numbers; None if there are too many."""
     lo, hi = boxes
     if len(lo) == 1:
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
@@ -156,14 +155,14 @@ def _near_entries(
             wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]
             numbers = (padded(each.astype(np.int32), _AT_ONCE) for each in (of_entry, wall))
             is_near = _are_near(hulls, *numbers, all_walls, margin)
-            found.append((entries[of_entry], wall, is_near))  # computed while the next ones are listed
+            found.append((entries[of_entry], wall, is_near))  # runs while the next pairs are listed
     is_near = np.concatenate([np.asarray(each)[: len(wall)] for _, wall, each in found])
     entry, wall = (np.concatenate([column[i] for column in found])[is_near] for i in range(2))
     return entry, wall
 
 
 def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:
-    """32-bit rows, of few numbers."""
+    """Return 32-bit rows padded to one of few sizes, so that few functions are compiled."""
     return padded(values.astype(np.float32), max(_AT_ONCE, padded_size(len(values))))
 
 
@@ -175,9 +174,9 @@ def _are_near(
     walls: Float[Array, "walls 4"],
     margin: Float[Array, ""],
 ) -> Bool[Array, "pairs"]:
-    """Whether no line keeps a wall farther than the margin from the hull of an entry's box and corner.
+    """Return whether walls are within the margin of the hull of an entry's box and corner.
 
-    Two convex sets in the plane are apart only if they are across an edge of one of them.
+    By the separating axis theorem, two convex sets in the plane are apart only if an edge of one separates them.
     """
     x0, y0, x1, y1, cx, cy = hulls[entry].T
     ax, ay, bx, by = walls[wall].T
@@ -187,7 +186,7 @@ def _are_near(
     apart |= (jnp.maximum(ay, by) < jnp.minimum(y0, cy) - margin) | (
         jnp.minimum(ay, by) > jnp.maximum(y1, cy) + margin
     )
-    # From here on, all is counted from the corner, which is part of the hull.
+    # Coordinates are relative to the corner from here on.
     corner = 0 * cx, 0 * cy
     ends = [(x - cx, y - cy) for x in (x0, x1) for y in (y0, y1)]
     a, b = (ax - cx, ay - cy), (bx - cx, by - cy)
@@ -201,21 +200,21 @@ def _are_near(
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose the occluders of what a region of free space leaves of the domain.
+    """Choose occluders inside the obstacles of a domain.
 
     Args:
         region: Free space, a Shapely geometry.
         domain: The domain.
-        depth: How deep inside obstacles the occluders lie, at least.
-        num_walls: How many walls are tested for each pair that no occluder hides.
+        depth: Smallest depth of occluders inside obstacles.
+        num_walls: Number of walls tested for each pair that no occluder hides.
 
     Returns:
-        A row for each occluder, counted from the middle of the domain: both ends, and a linear function that is 0 on
-        the line through the ends, and 1 at the distance at which a point is certainly beside the line.
+        One row for each occluder, relative to the middle of the domain: both ends, and the coefficients of a linear
+        function that is 0 on the line through them and 1 where a point is certainly beside this line.
     """
     import shapely  # PLRs do not need it
 
-    # 1. Chords: the longest segments between vertices of obstacles that lie deep inside the obstacles.
+    # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
     rng = np.random.default_rng(0)
     box = shapely.box(*domain.lo, *domain.hi)
     solid = shapely.buffer(shapely.difference(box, region), -depth, join_style="mitre")
@@ -229,7 +228,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         shapely.prepare(part)
         found.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
     chords = np.concatenate(found)
-    # 2. Random free pairs, and the chords that their lines cross.
+    # 2. Draw random free pairs, and find the chords that their segments cross.
     x, y = domain.lo + rng.random((2, _PAIRS, 2)) * domain.width
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
@@ -240,7 +239,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         return (bx - ax) * (py - ay) - (by - ay) * (px - ax) > 0
 
     crosses = (left_of(a, b, p) != left_of(a, b, q)) & (left_of(p, q, a) != left_of(p, q, b))
-    # 3. Greedily the chord that hides most of the pairs that are left.
+    # 3. Choose greedily the chord that blocks most of the remaining pairs.
     chosen = []
     while crosses.any():
         hidden = crosses.sum(axis=1)

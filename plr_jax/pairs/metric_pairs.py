@@ -1,4 +1,4 @@
-"""The distance of any two points by any metric: one PLR over the product of the space with itself."""
+"""Approximate distances between any two points for any metric: one PLR over the product of the space with itself."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,37 +19,39 @@ from plr_jax.plr._plr import PLR
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class MetricPairs:
-    """The distance between any two points of a box, by one PLR over pairs of them.
+    """Approximate distances between any two points of a box, stored as one PLR over pairs of points.
 
-    Made by :func:`construct_metric_pairs`; of a file, by ``MetricPairs(load(path))``. It is a pytree of arrays.
+    Made by :func:`construct_metric_pairs`; to load a file, use ``MetricPairs(load(path))``. It is a pytree of arrays.
 
     Attributes:
-        plr: The PLR over the product of the box with itself, of the pairs whose first point comes first in the order
-            of coordinates. :func:`save` writes it.
+        plr: The PLR over the product of the box with itself, for pairs in lexicographic order. :func:`save` writes
+            it.
     """
 
     plr: PLR
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Approximate distance between points, in both arguments clean under ``jax.jit``, ``vmap`` and ``grad``.
+        """Return approximate distances between points.
+
+        It works under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
 
         Args:
             x: Points, ``(..., dim)``, NumPy or JAX.
-            y: Points, of a shape that broadcasts with that of ``x``.
+            y: Points whose shape broadcasts with ``x``.
 
         Returns:
             Distances, ``(...)``, at least 0: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` outside the box, and in leaves no pair of which is joined; NaN for NaN.
+            ``inf`` outside the box and in leaves without a joined pair; NaN for NaN.
 
         Raises:
-            ValueError: If points have another last axis than ``dim``.
+            ValueError: If the last axis of the points is not ``dim``.
         """
         x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
             if points.ndim == 0 or points.shape[-1] != self.dim:
                 raise ValueError(f"{name} must be points of shape (..., {self.dim}), got {points.shape}.")
         on_host = isinstance(x, np.ndarray) and isinstance(y, np.ndarray)
-        module: Any = np if on_host else jnp  # NumPy's 64-bit points are placed as such
+        module: Any = np if on_host else jnp  # NumPy points keep 64 bits
         x, y = module.broadcast_arrays(x, y)
         swaps = _comes_later(x, y)[..., None]
         value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
@@ -69,19 +71,19 @@ class MetricPairs:
 def construct_metric_pairs(
     distance_fn: Callable[[Any, Any], Any], domain: Box | tuple[ArrayLike, ArrayLike], **options: Any
 ) -> MetricPairs:
-    """Build the distance between any two points of a box, of any symmetric distance function, from samples.
+    """Build a PLR of any symmetric distance function of two points in a box, from samples.
 
-    It is a PLR over twice as many dimensions: what is left of a metric when nothing else is known of it. Of the
-    distance in a planar workspace :func:`construct_pairs` knows more, and is exact.
+    It has twice as many dimensions as the box, and uses nothing but samples of the function. For distances in a
+    planar workspace use :func:`construct_pairs`, which is exact.
 
     Args:
-        distance_fn: Distance of each two of points ``(n, dim)`` and ``(n, dim)``, ``(n,)``, alike either way round;
-            ``inf`` where no path joins them. Such as ``VisibilityGraph.between``.
-        domain: The box that both points are of, a ``Box`` or its two corners, of at most 3 dimensions.
-        **options: As for :func:`construct`: limits, the leaf, the seed and others.
+        distance_fn: Distances ``(n,)`` between points ``(n, dim)`` and ``(n, dim)``, symmetric, ``inf`` without a
+            path; for example ``VisibilityGraph.between``.
+        domain: The box of both points, a ``Box`` or its two corners, with at most 3 dimensions.
+        **options: Options of :func:`construct`, such as limits, leaf model and seed.
 
     Returns:
-        The distances. If interrupted (Ctrl-C), of the partition so far, as of :func:`construct`.
+        The distances. If interrupted (Ctrl-C), they have the partition so far, as for :func:`construct`.
 
     Raises:
         ValueError: If the box has more than 3 dimensions, or as for :func:`construct`.
@@ -91,7 +93,7 @@ def construct_metric_pairs(
     """
     domain = Box.of(domain)
     if domain.dim > 3:
-        raise ValueError(f"Pairs are of points of at most 3 dimensions, got a box of {domain.dim}.")
+        raise ValueError(f"The box of a metric may have at most 3 dimensions, got {domain.dim}.")
     if not callable(distance_fn):
         raise ValueError(f"distance_fn must be a function of x and y, got {shortened(distance_fn)}.")
     both = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
@@ -107,7 +109,7 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
-    """Whether points are behind others in the order of their coordinates, the first first."""
+    """Return whether ``x`` comes after ``y`` in lexicographic order."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

@@ -1,4 +1,4 @@
-"""The distance to one goal, taken out of a PairPLR: a cone in each leaf."""
+"""Conversion of a PairPLR and a goal to an ordinary PLR with a cone in each leaf."""
 
 from collections.abc import Callable
 from itertools import product
@@ -16,22 +16,25 @@ from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
-"""Where each leaf is asked, in its local coordinates."""
-_HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all of a leaf
-_DEPTH = 13  # to which few leaves are halved, such as a single one
+"""Sample points of a leaf in local coordinates."""
+_HALVINGS = 4  # halvings of a leaf that no corner fits well
+_DEPTH = 13  # depth to which a file with few leaves is halved
 _MAX_AXIS_DEPTH = 13
-_NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
-_ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of pairs rounds
+_NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
+_ROUNDING = 1e-6  # relative error above that of a query, of a distance plus the domain width
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
 
 def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
-    """The PLR of cones of the distance to a goal: each leaf of the pairs has the corner that serves it best."""
+    """Return the PLR of cones of the distance to a goal.
+
+    Each leaf of the pairs gets the corner whose cone fits it best, and is halved where no corner fits well.
+    """
     domain = stored.domain
     goal = as_finite_point("The goal", domain.settled(goal), 2)
     if not domain.contains(goal[None])[0]:
-        raise ValueError(f"The goal {goal.tolist()} lies outside the domain {domain}; move it inside.")
+        raise ValueError(f"The goal must be in the domain {domain}, got {goal.tolist()}: move it inside.")
     sources = _sources(stored, pairs, goal)
     cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
     most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
@@ -45,7 +48,7 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     first, *others = (cells for cells, _ in done)
     cells, source = first.append(*others), np.concatenate([source for _, source in done])
     if (source < 0).all():
-        raise ValueError(f"No leaf reaches the goal {goal.tolist()}; move it into free space.")
+        raise ValueError(f"No leaf reaches the goal {goal.tolist()}: move it into free space.")
     tree = tree_of(cells)
     cells, source = _joined(tree, source[tree.order])
     tree = tree_of(cells)
@@ -54,11 +57,11 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
 
 
 def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
-    """The goal, and the corners that shortest paths to it turn at, with their distances and the way on from each.
+    """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
 
-    A path that turns at a corner goes on straight to the goal, or along an edge to a corner that is nearer to it. A
-    corner from which no edge leads on like that may be where a path starts, but none turns there: its distance is
-    ``inf``, so that no leaf names it.
+    The next turn after a corner is the goal if the path there is straight, else the end of an edge to a corner nearer
+    to the goal. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf uses
+    it.
     """
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
@@ -69,7 +72,7 @@ def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"])
     leads_on = (onward <= distances[start] + slack[start]) & (distances[end] < distances[start])
     edges = np.flatnonzero(leads_on & (parents[start] < 0) & np.isfinite(onward))
     edges = edges[np.argsort(-onward[edges], kind="stable")]
-    parents[start[edges]] = end[edges]  # of several the last one stays: the shortest
+    parents[start[edges]] = end[edges]  # the last assignment wins: the shortest path
     distances[parents < 0] = np.inf
     return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
 
@@ -77,9 +80,9 @@ def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"])
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """The source of each cell whose cone is nearest to the distances in it, and its mean error; -1 if none reaches.
+    """Return the source of each cell with the best fitting cone, and its mean error; -1 if none reaches the goal.
 
-    Its owner is the leaf that holds it.
+    ``owner`` is the leaf of the pairs that contains the cell.
     """
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
@@ -98,7 +101,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Leaves and their sources, after halves with one source are one leaf."""
+    """Join halves with equal sources; return the remaining leaves and their sources."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -1,4 +1,4 @@
-"""PairPLR: the distance between any two points of a planar workspace, from one file, or to one goal."""
+"""PairPLR: distances between any two points of a planar workspace, stored in one file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -37,22 +37,22 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 
-_FEW, _MANY = 2**10, 2**14  # pairs that are answered at once, of few and of many
-_ROUNDINGS = 16
-_ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
+_FEW, _MANY = 2**10, 2**14  # block sizes for few and for many pairs
+_ROUNDINGS = 16  # roundings of a query, in units of the last place
+_ENDS = 4 * float(np.finfo(np.float32).eps)  # relative error of the ends of the domain
 
 
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(FileBacked):
-    """The distance between any two points of a planar workspace.
+    """Distances between any two points of a planar workspace.
 
-    Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over
+    Made by :func:`construct_pairs` and :func:`load`. A PairPLR is a pytree of arrays: jitted functions can close over
     it or take it as an argument.
 
     Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number: see ``held`` in
-            ``plr/container.py``.
+        file: The bytes that :func:`save` writes, padded with zeros, then their number (``padded_file`` in
+            ``plr/container.py``).
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
@@ -61,57 +61,55 @@ class PairPLR(FileBacked):
 
     @cached_property
     def tables(self) -> PairTables:
-        """What a query reads, derived from the file alone when it is first asked for.
+        """The tables that a query reads, built from the file on first use.
 
-        They are many times as large as the file, and may take as many times as long as it to make.
+        They are many times as large as the file, and may take many times as long to build as the file takes to read.
         """
         if self._known_tables is not None:
             return self._known_tables
-        with jax.ensure_compile_time_eval():  # also where a function is traced that closes over it
+        with jax.ensure_compile_time_eval():  # also inside a traced function
             return build_pair_tables(self.stored, self.num_bytes)
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        """The tables and the file."""
+        """Return the tables and the file as children."""
         return ((GetAttrKey("tables"), self.tables), (GetAttrKey("file"), self.file)), None
 
     @classmethod
     def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
-        """That of tables and a file."""
+        """Return the PairPLR with given tables and file."""
         tables, file = children
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """The same with another label, and with the tables if there are any: see :meth:`FileBacked.with_label`."""
+        """Return a copy with another label; tables that are built are shared (:meth:`FileBacked.with_label`)."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
-        known = self.__dict__.get("tables")  # if they have been built
+        known = self.__dict__.get("tables")
         return replace(self, file=super().with_label(label).file, _known_tables=known, _known_stored=stored)
 
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
     ) -> Float[Array, "*batch"]:
-        """Distance between points: the length of the shortest path in free space.
+        """Return the distance between points: the length of the shortest path in free space.
 
-        Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, in both arguments: the gradient leads away from where
-        the path goes first. It is zero where the distance is 0 or ``inf``.
+        It works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the
+        first turn of the path. It is zero where the distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX.
-            y: Points, of a shape that broadcasts with that of ``x``; or goals that :meth:`prepared` made, whose batch
-                does.
-            outside: What points outside the domain get, as for :func:`evaluate`; with ``"clamp"`` the ways of both
-                ends to the domain are added.
+            y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
+            outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
+                both ends to the domain.
 
         Returns:
-            Distances, ``(...)``, in the default precision of JAX at the most, as of :func:`evaluate`; the corners and
-            what is between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` where no path joins the points; NaN for NaN. Points in obstacles get what the corners that their
-            leaf lists give, which means nothing.
+            Distances, ``(...)``, in the precision of the points as for :func:`evaluate`; corners and the distances
+            between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for ``x
+            == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are meaningless.
 
         Raises:
-            ValueError: If points do not have two coordinates, are not real, or do not broadcast, or ``outside`` is
-                none of the three.
+            ValueError: If points do not have two coordinates, are not real, or do not broadcast, or if ``outside`` is
+                unknown.
         """
         outside = as_outside(outside)
         if not isinstance(y, PreparedGoals):
@@ -121,8 +119,8 @@ class PairPLR(FileBacked):
         size, corners = y.to_corners.shape[-1], len(self.tables.distances)
         if size != corners:
             raise ValueError(
-                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size}: call the "
-                "prepared of these."
+                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size} corners: "
+                "call prepared of these pairs."
             )
         if not prod(batch):
             return jnp.zeros(np.broadcast_shapes(x.shape[:-1], batch), jnp.float32)
@@ -134,18 +132,18 @@ class PairPLR(FileBacked):
         return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
-        """Goals that are asked for many times, as second points of a call.
+        """Prepare goals that are queried many times, for use as second points of a call.
 
-        It then takes about half the time on small maps, a fifth on large ones. Clean under ``jax.jit`` and
-        ``jax.vmap``, as where an environment draws its goal in ``reset``. Answers differ from those of the points
-        themselves by rounding; they have no gradient in the goals, whose coordinates have 32 bits, and with
-        ``outside="clamp"`` a goal outside stays there: ``inf``. To pairs of another map they mean nothing.
+        Queries then take about half the time on small maps, a fifth on large ones. It works under ``jax.jit`` and
+        ``jax.vmap``, for example in the ``reset`` of an environment that draws its goal. Answers differ from
+        unprepared ones by rounding. They have no gradient in the goals, which have 32 bits. With ``outside="clamp"``,
+        a goal outside the domain stays outside: ``inf``. Pairs of other maps must not use these goals.
 
         Args:
             goals: The goals, ``(..., 2)``.
 
         Returns:
-            The goals and the distance of each from all corners, ``(..., corners)``: 4 bytes a corner.
+            The goals with their distances to all corners, ``(..., corners)``, 4 bytes per corner.
 
         Raises:
             ValueError: As for a call.
@@ -157,18 +155,18 @@ class PairPLR(FileBacked):
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Proven bounds of the distance between points of free space.
+        """Return proven bounds of the distance between points of free space.
 
-        The proof covers what the file and a query round. It is about points of free space, walls included, but not
-        such as count as free to the workspace's tolerance alone.
+        The proof includes the rounding of the file and of the query. It holds for points of free space, walls
+        included, but not for points that count as free only because of the workspace's tolerance.
 
         Args:
             x: Points, as for a call.
             y: Points.
 
         Returns:
-            Lower bounds, at least 0, and upper bounds: lengths of paths that are certainly free, ``inf`` where none
-            was found, as from points on a wall, or nearer to one than 4e-6 of the domain's width.
+            Lower bounds, at least 0, and upper bounds, which are lengths of certainly free paths. An upper bound is
+            ``inf`` if no such path was found, as from points on a wall or within 4e-6 domain widths of one.
 
         Raises:
             ValueError: As for a call.
@@ -177,11 +175,11 @@ class PairPLR(FileBacked):
         return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
-        """The distance to one goal, as an ordinary PLR of cones.
+        """Return the distance to one goal as an ordinary PLR of cones.
 
-        Each leaf has the one corner that serves it best, judged by what the pairs answer at some of its points, and
-        is halved a few times where none serves all of it. Nothing is proven of it: use :func:`certify`. Not inside
-        ``jit``: there, call the pairs with ``y=goal``.
+        Each leaf gets the corner that fits it best at some sample points, and is halved a few times if no corner fits
+        all of it. Nothing is proven about the result: use :func:`certify`. Inside ``jit``, call the pairs with
+        ``y=goal`` instead.
 
         Args:
             goal: The goal, ``(2,)``, in the domain.
@@ -190,19 +188,19 @@ class PairPLR(FileBacked):
             The PLR.
 
         Raises:
-            ValueError: If the goal is not two finite numbers, lies outside the domain, or nothing reaches it.
+            ValueError: If the goal is not two finite numbers, is outside the domain, or cannot be reached.
         """
         return plr_to(self.stored, self, goal)
 
     def numpy(self) -> NumpyPairs:
-        """The same in NumPy, by the arithmetic that readers in other languages keep to: see ``pairs/portable.py``."""
+        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/portable.py``."""
         return NumpyPairs(self.stored)
 
     def js_module(self) -> str:
-        """The same as one module of JavaScript, which holds the file and imports nothing.
+        """Return these distances as one JavaScript module that contains the file and imports nothing.
 
-        It exports ``distance(x, y)`` of two points, arrays of two numbers; ``waypoint(x, y)``, where to go straight
-        to from ``x`` towards ``y``; and ``bounds(x, y)``. Answers are those of :meth:`numpy`, bit for bit.
+        It exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the first
+        turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for bit.
 
         Returns:
             The text of the module.
@@ -210,18 +208,17 @@ class PairPLR(FileBacked):
         return js_pairs_module(self.to_bytes(), self.domain)
 
     def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
-        """What a function of the tables and points answers: in parts, on all cores of a CPU."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         _require_broadcast("x and y", x, y)
         if not is_on_one_host(x, y, self.tables.walls):
             return answer(self.tables, x, y)
-        with np.errstate(over="ignore"):  # far outside
+        with np.errstate(over="ignore"):  # points far outside
             points = [np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y)]
         answers = answered_in_parts(partial(answer, self.tables), (_FEW, _MANY), *points)
         return tuple(map(jnp.asarray, answers))
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
-        """Points counted from the middle of the domain: those of NumPy in their own precision."""
+        """Return points relative to the middle of the domain; NumPy points keep their precision."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -236,12 +233,12 @@ class PairPLR(FileBacked):
 
     @cached_property
     def stored(self) -> PairsFileData:
-        """What the file holds."""
+        """The decoded contents of the file."""
         return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
 
     @property
     def domain(self) -> Box:
-        """The closed box that both points are of."""
+        """The closed box of valid points."""
         return self.stored.domain
 
     @property
@@ -251,7 +248,7 @@ class PairPLR(FileBacked):
 
     @property
     def num_corners(self) -> int:
-        """Number of corners that paths turn at."""
+        """Number of corners where paths turn."""
         return len(self.stored.corner)
 
     def __repr__(self) -> str:
@@ -262,42 +259,44 @@ class PairPLR(FileBacked):
 
 
 def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
-    """Build a PairPLR: the distance between any two points of a planar workspace.
+    """Build a PairPLR: distances between any two points of a planar workspace.
 
-    The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
-    first. The file holds free space, which pairs of corners are joined, the partition and the lists. More bytes make
-    queries faster, as fewer corners need to be looked at, and are spent only as long as they do.
+    The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
+    file holds free space, the joined pairs of corners, the partition and the lists. More bytes make queries faster,
+    because fewer corners must be tried; bytes are spent only as long as they do.
 
-    Distances are exact but for the rounding of 32-bit floats, whatever the budget, with these exceptions:
+    Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
-    - Points nearer to a wall than 4e-6 of the domain's width may see past its ends, and get up to 2e-5 of the width
-      too little.
-    - Points as near to a wall thinner than 8e-6 of the width, to a gap as thin, or to where obstacles touch may get
-      the distance of points on the other side, or one that is too short. Bounds hold there as well. Lower bounds take
-      walls as thin for free space, and so may be far below the distance of points on the two sides.
+    - Points within 4e-6 domain widths of a wall may see past its ends: their distance may be up to 2e-5 widths too
+      small.
+    - Points within 8e-6 widths of a contact, or of a wall or gap thinner than that, may get the distance of a point
+      on the other side, or one that is too small. Bounds still hold there. Lower bounds treat such walls as free
+      space, so they may be far below the distance between points on opposite sides.
+
+    Gaps between obstacles stay open however narrow they are, and contacts stay closed.
 
     Args:
-        workspace: The free space, with at most 8,192 corners that stand out into it.
+        workspace: The free space, with at most 8,192 reflex corners.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
 
     Returns:
-        The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
+        The PairPLR. If interrupted (Ctrl-C), it has the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, has too many corners, or is wider than 1e18; or if free space and
-            corners alone take more bytes.
+        ValueError: If the workspace is not a Workspace, has too many corners or is wider than 1e18, or if free space
+            and corners alone exceed ``max_bytes``.
 
     References:
         "all-pairs" in Section II of the paper.
     """
-    from plr_jax.pairs.construct import construct_stored  # which no query needs
+    from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
     stored, data = construct_stored(workspace, max_bytes)
     return PairPLR(padded_file(data), None, stored)
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
-    """Return the PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    """Return the PairPLR of a file's bytes; raise ``ValueError`` with the reason if that fails."""
     return PairPLR(padded_file(data), None, PairsFileData.from_bytes(data))
 
 
@@ -318,7 +317,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
         from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
         return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
 
-    # As it changes with the ends, also by what 32 bits leave of them.
+    # Add the change of both legs due to the part of the points that 32 bits lose.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
@@ -327,7 +326,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Distances from points to the goals of some numbers, ``(*batch, 1)``."""
+    """Return distances from points to the prepared goals with given indices, ``(*batch, 1)``."""
     if outside == "clamp":
         x, way = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
@@ -339,7 +338,7 @@ def _distances_to(
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
     via, length = ways.from_x.astype(x.dtype), ways.length.astype(x.dtype)
-    # As it changes with the point, also by what 32 bits leave of it.
+    # Add the change of the leg due to the part of the point that 32 bits lose.
     change = _norm(x - via) - _norm(single.astype(x.dtype) - via)
     length += jnp.where(jnp.isfinite(length), change, 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
@@ -350,11 +349,11 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     (x, y), shape, answer = _checked(tables, x, y)
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
-    absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
+    absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()
     sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
     least = shortest_ways(sure, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
-    # A point nearer to a wall may pass behind those that are moved into free space.
+    # A point near a wall may be behind the wall that is moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)
     free = replace(tables, walls=tables.proud_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(free, x) & is_inside(free, y)
@@ -367,7 +366,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
+    """Return the nearest point of the domain and the distance to it; points that are not finite stay."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
@@ -377,9 +376,9 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Points, or pairs, in rows and inside the domain; their shape; and what to answer.
+    """Return points as rows inside the domain, their shape, and the answer that is known already.
 
-    That is ``inf`` outside, NaN for NaN, else 0.
+    The known answer is ``inf`` outside the domain, NaN for NaN, else 0.
     """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
@@ -390,7 +389,6 @@ def _checked(
 
 
 def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> None:
-    """Raise ``ValueError`` if points do not broadcast."""
     try:
         jnp.broadcast_shapes(x.shape, y.shape)
     except ValueError:
@@ -398,17 +396,16 @@ def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray)
 
 
 def _floats_of(*points: Any) -> Any:
-    """The precision of an answer: 64 bits if a point is of as many, else 32."""
+    """Return the precision of an answer: 64 bits if a point has 64 bits, else 32."""
     return jnp.float64 if jnp.float64 in [p.dtype for p in points] else jnp.float32
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-    """How far from the middle points count as inside: to what rounding leaves of the ends, wherever the origin is."""
+    """Return the largest coordinates inside the domain, widened by rounding."""
     ends = tables.half + _ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
 
 def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Lengths of vectors, of slope 0 at 0."""
     square = (v * v).sum(axis=1)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -139,16 +139,7 @@ function readPairs({ domain, layers }, fileBytes) {
     const wallsOf = (distance, surely) => {
         const moved = movedPoints(outline, distance, surely), following = distance > 0 ? outline.pastContacts : outline.following;
         const [wx, wy] = moved.map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        const walls = Array.from(wx.keys()).flatMap(i => {
-            if (surely && isThin.has(i)) return [];
-            const j = following[i], { x, y } = outline, at = [wx[i], wy[i], wx[j], wy[j]], [stays, stay] = [i, j].map(k => moved[0][k] === x[k] && moved[1][k] === y[k]);
-            const dx = x[j] - x[i], dy = y[j] - y[i], length = Math.sqrt(dx * dx + dy * dy);
-            if (surely || distance <= 0 || stays === stay || length <= 8 * distance) return wall(...at);
-            // A wall of which one end stays moves back from a little beside that end on.
-            const u = [dx / length, dy / length], sign = stays ? 1 : -1, from = stays ? i : j, aside = [u[1], -u[0]];
-            const foot = [0, 1].map(axis => f(moved[axis][from] + distance * (sign * u[axis] + aside[axis]) - middle[axis]));
-            return [...wall(at[0], at[1], ...foot), ...wall(...foot, at[2], at[3])];
-        });
+        const walls = Array.from(wx.keys()).flatMap(i => surely && isThin.has(i) ? [] : wall(wx[i], wy[i], wx[following[i]], wy[following[i]]));
         if (distance <= 0 || surely) return walls;
         // There and back, from contacts, and from where a tip may be cut off, to where the walls meet.
         for (const i of wx.keys()) {

@@ -1,27 +1,25 @@
-"""A query of pairs without JAX, by an arithmetic that other readers keep to as well, bit for bit.
+"""Queries of pairs in NumPy, by an arithmetic that other languages reproduce bit for bit.
 
-All operations are those of IEEE 754, rounded to nearest, none fused, in 32-bit floats unless 64 are named. What is
-called a *number* is computed once from the file in 64 bits, by the operations of this module and ``stored.py``,
-and rounded to 32 once.
+Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floats unless this text says 64. A
+*coefficient* is computed once from the file in 64 bits, by this module and ``stored.py``, then rounded to 32 bits.
 
-1.  *Points* are counted from the middle of the domain in 64 bits, and rounded. The answer is NaN where a coordinate
-    is, else ``inf`` where one is farther from the middle than half the domain's width, rounded up. Of two points that
-    with the smaller coordinates, the first one first, is ``p``, the other one ``q``.
-2.  *Sight.* A wall from ``a`` to ``b`` has the numbers of its ends and, from these, ``e = b - a`` and ``turn = e[0]
-    a[1] - e[1] a[0]``. The line from ``p`` to ``q`` crosses it if ``(e[0] p[1] - e[1] p[0] - turn) (e[0] q[1] - e[1]
-    q[0] - turn) < 0``, going in if ``d[0] a[1] - d[1] a[0] < m <= d[0] b[1] - d[1] b[0]``, out the other way, where
-    ``d = q - p`` and ``m = d[0] p[1] - d[1] p[0]``. It is blocked if it goes in across one wall and out across one.
-3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` and ``q`` see one another, the distance is theirs; else
-    the least ``|p - i| + (|q - j| + D(i, j))`` of corners ``i`` that ``p`` sees and ``j`` that ``q`` sees, of those
-    that their leaves list, or ``inf``. The leaf of a point is found as that of a PLR (see ``plr/portable``).
-4.  *Bounds.* The lower one is ``max(shrunk length - less, 0)``, of the length that is found likewise where
-    obstacles that touch are apart and without the walls that the file calls thin. The upper one is ``stretched
-    length + more``, of the length that is found likewise among walls and corners that are moved into free space, and
-    rectangles around thin walls, where going in or out alone is enough to be blocked; ``inf`` unless both points are
-    inside those walls: those that go up to the right of a point, less those that go down, are one.
+1.  *Points* are shifted by the middle of the domain in 64 bits and rounded. The answer is NaN if a coordinate is NaN.
+    It is ``inf`` if a point is farther from the middle than half the domain width, rounded up. Of the two points,
+    ``p`` is the lexicographically smaller, ``q`` the other.
+2.  *Sight.* A wall from ``a`` to ``b`` has as coefficients its ends, ``e = b - a`` and ``turn = e[0] a[1] - e[1]
+    a[0]``. Let ``d = q - p`` and ``m = d[0] p[1] - d[1] p[0]``. The segment from ``p`` to ``q`` crosses the wall if
+    ``(e[0] p[1] - e[1] p[0] - turn) (e[0] q[1] - e[1] q[0] - turn) < 0`` and ``d[0] a[1] - d[1] a[0] < m <= d[0] b[1]
+    - d[1] b[0]`` (inward) or the reverse (outward). It is blocked if it crosses one wall inward and one outward.
+3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` sees ``q``, the distance is straight. Else it is the least
+    ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
+    corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
+4.  *Bounds.* The lower bound is ``max(shrunk length - less, 0)``. Its length ignores thin walls and opens contacts.
+    The upper bound is ``stretched length + more``. Its walls and corners are moved into free space, rectangles
+    enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
+    inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
 
-``pairs(x, y)`` finds the same ways, but for rounding: its answers may be of another way that is as short, and
-compilers may fuse its operations.
+``pairs(x, y)`` finds the same paths up to rounding: it may choose another path of equal length, and compilers may
+fuse its operations.
 """
 
 from base64 import b64encode
@@ -45,17 +43,20 @@ from plr_jax.plr.portable.numpy import LeafTable
 from plr_jax.plr.portable.writers import format_domain
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
-"""How far walls move back for sight, in widths of the domain: several times what a query rounds."""
+"""Distance by which walls move back for sight, in domain widths: several times the rounding error of a query."""
 MARGIN = RECEDING / 4
-"""How near to a hull, in widths of the domain, walls may hide its corner from it: more than a query rounds."""
-_ROUNDINGS = 16 * float(np.finfo(np.float32).eps)  # of a distance: more than a query rounds
+"""Distance in domain widths within which a wall may matter: more than the rounding error of a query."""
+_ROUNDINGS = 16 * float(np.finfo(np.float32).eps)  # relative error of a distance: more than a query rounds
 _SHRUNK, _STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
-_AT_ONCE = 2**19  # lines and walls that are held against one another together
-_PAIRS = 2**12  # that are answered together
+_AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
+_PAIRS = 2**12  # pairs of points that are answered together
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Whether lines between points cross walls going in, and going out; walls as of :func:`walls_with_sides`."""
+    """Return whether lines between points cross walls into an obstacle, and out of one.
+
+    Walls are rows of :func:`walls_with_sides`.
+    """
     (px, py), (qx, qy), (ax, ay, bx, by, ex, ey, turn) = p, q, wall
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px
@@ -65,14 +66,14 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls go up, and down, to the right of points."""
+    """Return whether walls pass to the right of points upward, and downward."""
     (px, py), (_, ay, _, by, ex, ey, turn) = p, wall
     beside = ex * py - ey * px - turn
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
 
 
 def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Return walls in 32 bits, followed by the numbers that tell on which side of the wall a point is."""
+    """Return walls in 32 bits with the coefficients that tell the side of a point."""
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
     return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
@@ -80,13 +81,13 @@ def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The walls and corners among which paths are found, counted from the middle of the domain.
+    """Walls and corners for path search, relative to the middle of the domain.
 
     Attributes:
-        walls: Ends of the walls.
-        corners: The corners, and last one at ``inf``.
-        moved: The largest distance between a corner and its place in the file.
-        is_certain: Whether a path that is found is certainly free.
+        walls: Wall ends.
+        corners: The corners, then one at ``inf`` as padding.
+        moved: Largest distance of a corner from its position in the file.
+        is_certain: Whether every path found is certainly free.
     """
 
     walls: Float[np.ndarray, "walls 4"]
@@ -96,9 +97,10 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Move the walls of a file into free space if paths must be certainly free, else out of it.
+        """Return the scene of a file: walls move into free space if ``is_certain``, else back into obstacles.
 
-        If only what an obstacle surely hides is hidden, obstacles that touch are apart, and thin walls are left out.
+        With ``hides_surely``, only what obstacles certainly hide is hidden: contacts open, and thin walls are left
+        out.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -106,7 +108,7 @@ class Scene:
         if is_certain:
             corners = outline.moved_points(-2 * receding)[stored.corner]
         else:
-            # Where walls stay corners move before the walls, or rounding would hide the corners.
+            # Corners at the end of a wall move in front of it, or rounding would hide them.
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
             corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
         walls = outline.moved_walls(-receding if is_certain else receding, surely=hides_surely)
@@ -120,11 +122,11 @@ class Scene:
 
     @cached_property
     def sides(self) -> list[Float[np.ndarray, "walls"]]:
-        """The columns of :func:`walls_with_sides`."""
+        """Return the columns of :func:`walls_with_sides`."""
         return list(walls_with_sides(self.walls).T)
 
     def hides(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether walls are between points."""
+        """Return whether walls block the segments between points."""
         hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
             some = slice(first, first + step)
@@ -143,13 +145,13 @@ class Scene:
 
 
 class NumpyPairs:
-    """Pairs that are asked in NumPy: what ``pairs.numpy()`` gives.
+    """Distances of pairs computed in NumPy, as returned by ``pairs.numpy()``.
 
-    The arithmetic is that of the description of this module, which :meth:`PairPLR.js_module` keeps to as well.
+    :meth:`PairPLR.js_module` computes the same answers bit for bit.
     """
 
     def __init__(self, stored: PairsFileData) -> None:
-        """Of what a file holds."""
+        """Prepare the data of a file for queries."""
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
         self.domain, self._middle = domain, middle
         self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
@@ -168,27 +170,27 @@ class NumpyPairs:
         )
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
-        """Distance between points.
+        """Return distances between points.
 
         Args:
             x: Points, ``(..., 2)``.
-            y: Points, of a shape that broadcasts with that of ``x``.
+            y: Points whose shape broadcasts with ``x``.
 
         Returns:
-            Distances, ``(...)``, float32: ``inf`` outside the domain and where no path joins the points, NaN where a
-            coordinate is. ``f(x, y) == f(y, x)``, to the bit.
+            Distances, ``(...)``, float32: ``inf`` outside the domain and without a path, NaN where a coordinate is
+            NaN. ``f(x, y) == f(y, x)`` to the last bit.
 
         Raises:
-            ValueError: If points are not real numbers of two coordinates, or do not broadcast.
+            ValueError: If points are not real numbers with two coordinates, or do not broadcast.
         """
         return self._answered(x, y, lambda p, q: self._lengths(self._seen, p, q)[:, None])[..., 0][()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
-        """Proven bounds of the distance between points of free space, as :meth:`PairPLR.bounds`.
+        """Return proven bounds of distances between points of free space, as :meth:`PairPLR.bounds` does.
 
         Args:
-            x: Points, as for a call.
-            y: Points.
+            x: Points, ``(..., 2)``.
+            y: Points whose shape broadcasts with ``x``.
 
         Returns:
             Lower and upper bounds, ``(...)`` each, float32.
@@ -200,7 +202,7 @@ class NumpyPairs:
         return bounds[..., 0][()], bounds[..., 1][()]
 
     def _answered(self, x: ArrayLike, y: ArrayLike, answer: Callable[..., np.ndarray]) -> np.ndarray:
-        """Answers to pairs of points, part by part."""
+        """Apply a function to pairs of points in blocks; answer ``inf`` outside the domain and NaN for NaN."""
         x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
@@ -232,14 +234,14 @@ class NumpyPairs:
     def _lengths(
         self, around: Scene, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n"]:
-        """Lengths of shortest ways among what is around."""
+        """Return lengths of the shortest paths in a scene."""
         lengths = _length(p - q)
         hidden = np.flatnonzero(around.hides(p, q))
         p, q = p[hidden], q[hidden]
         (of_p, legs_p), (of_q, legs_q) = (self._legs(around, each) for each in (p, q))
         ways = legs_p[:, :, None] + (legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]])
         shortest, open_ = np.full(len(p), np.inf, np.float32), np.arange(len(p))
-        while len(open_):  # strike corners off that a point does not see, of the shortest ways first
+        while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
             i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), of_q.shape[1])
             length = ways[open_, i, j]
             hidden_p = around.hides(p[open_], around.corners[of_p[open_, i]].astype(np.float32))
@@ -255,7 +257,7 @@ class NumpyPairs:
     def _legs(
         self, around: Scene, p: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
-        """The corners that points' leaves list, and how far they are."""
+        """Return the corners that the points' leaves list, and the distances to them."""
         above = p.T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
@@ -267,12 +269,12 @@ def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
 
 
 def js_pairs_reader() -> str:
-    """Return the functions of JavaScript that read files of pairs, and make a reader of a file's contents."""
+    """Return the JavaScript functions that read and query files of pairs."""
     return Path(__file__).with_name("pairs.js").read_text(encoding="utf-8")
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
-    """Return the module of a file of pairs: see :meth:`PairPLR.js_module`."""
+    """Return the JavaScript module of a file of pairs, as :meth:`PairPLR.js_module` documents it."""
     return f"""\
 // The distance between any two points of {format_domain(domain)}, by plr_jax.
 //

@@ -1,14 +1,15 @@
-"""A query of pairs in JAX: the tables that it reads, and the search for shortest paths.
+"""Queries of pairs in JAX: the tables and the search for shortest paths.
 
-The distance of two points that see one another is straight; any other path turns first and last at corners that the
-leaves of its ends list. The first corner is found best-first: the corners of the first point's list are looked into
-in the order of a lower bound of the path length through each. The path through a corner is the shortest one by the
-second point's list, or by the distances that :class:`PreparedGoals` hold. A corner that a wall hides from its point
-is struck off that point's list. So the remaining bounds never exceed the distance.
+Two points that see one another are joined by a straight path. Any other path turns first and last at corners that the
+leaves of its ends list. The search is best-first over the corners of the first point's list, ordered by a lower bound
+of the path length through each:
 
-Legs are tested against the walls near the leaf's box and the corner, which are few; straight lines against all walls.
-Most pairs need one round or two. Each round takes the first pairs that are open: many together while many are open,
-and then few.
+1. Take the corner with the smallest bound, and the shortest path through it to the second point.
+2. If a wall hides a corner from its point, drop the corner from that point's list.
+3. Stop once no remaining bound is smaller than the length of a path found.
+
+Legs (segments from a point to a listed corner) are tested against the few walls near the leaf and the corner,
+straight paths against all walls. Most pairs need one or two rounds. Each round takes only pairs that are still open.
 """
 
 from collections.abc import Callable
@@ -31,12 +32,12 @@ from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.query import lookup
 from plr_jax.plr.tables import Tables, build_tables
 
-_UNROLLED = 16  # walls, or occluders, at a time
+_UNROLLED = 16  # walls or occluders tested in one step of a loop
 _LEAVES_AT_ONCE = 32
-_AT_ONCE = 2**14  # pairs of points: as many as caches hold
-_TESTED = 2**10  # pairs that are tested against all walls together
-_MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then
-_LARGEST = np.finfo(np.float32).max  # the bits of `inf` may not be changed: it would be no number
+_AT_ONCE = 2**14  # pairs of points that fit into caches
+_TESTED = 2**10  # pairs tested against all walls together
+_MANY, _FEW = 2**11, 2**7  # open pairs per round, while there are many and then
+_LARGEST = np.finfo(np.float32).max  # replaces `inf`, which would become NaN with other last bits
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
 Columns = TypeVar("Columns")
@@ -44,8 +45,6 @@ Columns = TypeVar("Columns")
 
 @dataclass(frozen=True)
 class _NoLeaf:
-    """What the tables of a partition alone ask of a leaf model."""
-
     least_bytes: float = 1.0
     has_deep_trees: bool = False
 
@@ -53,31 +52,29 @@ class _NoLeaf:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PairTables:
-    """All that a query reads. Coordinates count from the middle of the domain.
+    """The tables that a query reads. Coordinates are relative to the middle of the domain.
 
     Attributes:
-        partition: Finds leaves.
-        walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
-        occluders: Segments inside obstacles, see :func:`occluders_of`; in groups, padded with zeros.
-        near: Walls that may hide a corner of a leaf's list; None where they are too many to be worth it.
-        x: First coordinate of the corners of each leaf's list; padding is ``inf``.
+        partition: Finds the leaf of a point.
+        walls: Ends of the walls that block sight, moved back a little, in groups padded with empty walls.
+        occluders: Segments inside obstacles (:func:`occluders_of`), in groups padded with zeros.
+        near: Walls that may hide a listed corner; None if they are too many to save time.
+        x: First coordinate of each leaf's corners, padded with ``inf``.
         y: Second coordinate.
-        listed: The corners; padding is one more than the last corner.
-        distances: Distance between each two corners, row by row; ``inf`` for padding.
-        onward: Two numbers in one, about the ways from each corner, by a corner of a leaf's list, to anywhere in the
-            leaf's box: in the last bits the corner of the list by which the shortest goes; in the other bits, as a
-            float, a lower bound of the length of all ways by other corners of the list.
-        corners: The corners; padding is ``inf``.
-        middle: The middle of the domain, in 32 bits, and what they leave of it.
-        half: Half its width, along each axis.
-        proud_walls: Ends of the walls moved into free space instead.
-        proud_corners: The corners moved into it twice as far.
-        sure_walls: For lower bounds, walls where obstacles that touch are apart, without those that are thin; None if
-            they are ``walls``.
-        rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
-            that of distances by way of the proud corners, which is larger.
-        unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
-        is_certain: Whether what counts as a way is certainly free.
+        listed: Corners of each leaf; the padding is one more than the last corner.
+        distances: Distances between corners, padded with ``inf``.
+        onward: For each leaf and corner, two packed numbers about paths from the corner to the leaf's box through a
+            listed corner. The last bits are the listed corner of the shortest path; the rest is a float, a lower
+            bound of the length through any other.
+        corners: The corners, padded with ``inf``.
+        middle: The middle of the domain in 32 bits, and the remainder.
+        half: Half the domain width along each axis.
+        proud_walls: Ends of the walls moved into free space.
+        proud_corners: The corners moved into free space twice as far.
+        sure_walls: Walls for lower bounds, with contacts open and without thin walls; None if equal to ``walls``.
+        rounding: Largest error of a distance through the corners, and through the proud corners.
+        unresolved: Point types that cannot be answered (:func:`unresolved_types`).
+        is_certain: Whether every path found is certainly free.
     """
 
     partition: Tables
@@ -101,27 +98,27 @@ class PairTables:
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the tables of a file's contents; their sizes follow from the number of bytes of the file."""
+    """Build the tables of a file; their sizes follow from its number of bytes."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
-    # 1. The lists as rows of one length, a multiple of eight.
+    # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
     listed[ragged_indices(lengths)] = stored.listed
-    # 2. How far listed corners are from their leaves' boxes, at least; `inf` for padding.
+    # 2. Bound the distances of listed corners to their leaves' boxes from below; `inf` for padding.
     (lo, hi), of_leaf = cells.grown_boxes(domain), seen.corners[listed[: len(cells)]]
     apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)
     beside = np.full(listed.shape, np.inf, np.float32)
     beside[: len(cells)] = np.nextafter(np.hypot(*np.moveaxis(apart, -1, 0)).astype(np.float32), np.float32(0))
-    # 3. Occluders deeper inside obstacles than walls move back, and walls near listed corners.
+    # 3. Choose occluders deeper inside obstacles than walls move back, and find walls near listed corners.
     try:
         depth = 4 * RECEDING * float(stored.domain.width.max())
         occluders = occluders_of(stored.outline.region, stored.domain, depth, len(stored.outline.points))
-    except ValueError:  # details narrower than the lattice of the file: only the walls are known
+    except ValueError:  # the file has details finer than its lattice: only walls block sight
         occluders = np.zeros((0, 7))
     margin = MARGIN * float(stored.domain.width.max())
     near = NearWalls.of((lo, hi), stored.leaf, stored.listed, seen.corners[:-1], seen.walls, margin, listed.shape)
@@ -160,7 +157,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
 def _ways_to_leaves(
     distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
 ) -> UInt32[Array, "rows size"]:
-    """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
+    """Return ``PairTables.onward`` from the distances of listed corners to their leaves' boxes."""
     rows, longest = listed.shape
     size = len(distances)
     last_bits = np.uint32(padded_size(size) - 1)
@@ -180,7 +177,7 @@ def _ways_to_leaves(
         begin = none, none, jnp.full(shape, size - 1, jnp.uint32)
         count = (near < jnp.inf).sum(axis=1).max()
         _, other, last = jax.lax.fori_loop(0, count, with_corner, begin)
-        other *= np.float32(1 - 4 * np.finfo(np.float32).eps)  # whose last bits, if it is `inf`, are zeros
+        other *= np.float32(1 - 4 * np.finfo(np.float32).eps)  # the last bits of `inf` are zeros
         return jax.lax.bitcast_convert_type(other, jnp.uint32) & ~last_bits | last
 
     step = np.gcd(rows, _LEAVES_AT_ONCE)
@@ -191,11 +188,11 @@ def _ways_to_leaves(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PreparedGoals:
-    """Goals of a PairPLR, made by :meth:`PairPLR.prepared`: a pytree of arrays that may be batched and sliced.
+    """Goals of a PairPLR, made by :meth:`PairPLR.prepared`: a pytree of arrays that can be batched and sliced.
 
     Attributes:
-        points: The goals, counted from the middle of the domain, in 32 bits.
-        to_corners: The distance of each goal to each corner; ``inf`` where no path joins them.
+        points: The goals relative to the middle of the domain, in 32 bits.
+        to_corners: Distance from each goal to each corner, ``inf`` without a path.
     """
 
     points: Float[Array, "*batch 2"]
@@ -204,7 +201,7 @@ class PreparedGoals:
 
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
-    """Return the length of the shortest path from points to each corner, straight or by the corners listed."""
+    """Return the length of the shortest path from points to each corner."""
     leaf = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
@@ -226,10 +223,10 @@ class _Pairs:
     Attributes:
         x: First points.
         y: Second points.
-        leaf_x: The leaves of the first points.
-        leaf_y: The leaves of the second points; None if they are prepared goals.
-        at_least: A lower bound of the path length through each corner of the first point's list; the length if the
-            second point is a prepared goal and the first point sees the corner.
+        leaf_x: Leaves of the first points.
+        leaf_y: Leaves of the second points; None for prepared goals.
+        at_least: Lower bound of the path length through each corner of the first point's list. For prepared goals it
+            is the length if the first point sees the corner.
     """
 
     x: Float[Array, "n 2"]
@@ -242,16 +239,16 @@ class _Pairs:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for shortest paths between pairs of points.
+    """State of the search for shortest paths.
 
     Attributes:
-        length: Length of the shortest path found; ``inf`` if none is.
-        via_x: The place in the first point's list of the corner where it turns first.
-        via_y: The place in the second point's list of the corner where it turns last. Of a straight path both are
-            behind all places.
-        least: No path that is left is shorter.
-        done_x: Corners of the first point's list that are done with, a bit each.
-        done_y: Corners of the second point's list that are struck off.
+        length: Length of the shortest path found so far, ``inf`` if there is none.
+        via_x: Place in the first point's list of the corner where that path turns first.
+        via_y: Place in the second point's list of the last corner. Straight paths have the length of the lists in
+            both.
+        least: Lower bound of the lengths of paths not yet examined.
+        done_x: Bits of the corners of the first point's list that are examined.
+        done_y: Bits of the corners of the second point's list that are hidden.
     """
 
     length: Float[Array, "n"]
@@ -268,10 +265,10 @@ class Ways:
     """Shortest paths between points.
 
     Attributes:
-        length: Length of the shortest path found; ``inf`` if there is none.
-        least: No path is shorter.
-        from_x: Where the path goes first from the first point; the second point if it is straight, or there is none.
-        from_y: And from the second point; of prepared goals the first point.
+        length: Length of the shortest path found, ``inf`` if there is none.
+        least: Lower bound of the length of any path.
+        from_x: First turn after the first point; the second point if the path is straight or missing.
+        from_y: First turn after the second point, seen from there; for prepared goals the first point.
     """
 
     length: Float[Array, "n"]
@@ -287,9 +284,9 @@ def shortest_ways(
     to_corners: Float[Array, "goals size"] | None = None,
     goal: UInt32[Array, "n"] | None = None,
 ) -> Ways:
-    """Find shortest paths between points of the domain, counted from its middle; alike either way round.
+    """Find shortest paths between points of the domain, given relative to its middle; symmetric to the last bit.
 
-    If there are prepared goals, the second points are the goals of some numbers.
+    With prepared goals, ``goal`` holds the indices of the second points among them.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
@@ -300,7 +297,6 @@ def shortest_ways(
 
 
 def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
-    """Find a pytree of columns for the rows of some arrays, for as many rows at a time as caches hold."""
     size = rows[0].shape[0]
     if is_symbolic_dim(size) or size <= _AT_ONCE:
         return ways(*rows)
@@ -320,7 +316,7 @@ def _ways(
 ) -> Ways:
     leaf_x, leaf_y, size = lookup(tables.partition, x), None, len(tables.distances)
     listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
-    # 1. A lower bound of the path length through each corner of the first point's list.
+    # 1. Bound the path length through each corner of the first point's list.
     if to_corners is not None and goal is not None:
         onward = _at(to_corners.ravel(), goal[:, None] * size + listed)
     else:
@@ -331,12 +327,12 @@ def _ways(
         by_last = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
         onward = jnp.minimum(by_last, other)
     at_least = jax.lax.optimization_barrier(_legs(tables, leaf_x, x) + onward)
-    # 2. Before the first round pairs that see one another are done.
+    # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
     search = _Search(straight, behind, behind, at_least.min(axis=1), words, words)
-    # 3. Rounds.
+    # 3. Search in rounds.
     search = _after_all_rounds(partial(_after_round, tables), _Pairs(x, y, leaf_x, leaf_y, at_least), search)
     is_straight = (search.via_x == longest)[:, None]
     from_x = jnp.where(is_straight, y, _corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
@@ -347,9 +343,9 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
-    """Search in rounds, each of pairs that are open: a shorter path may be left.
+    """Search in rounds until no pair is open, that is, until no pair may have a shorter path.
 
-    It ends, as each round strikes a corner off a list of each open pair.
+    The search ends because each round drops a corner from a list of each open pair.
     """
     size = search.length.shape[0]
 
@@ -365,8 +361,8 @@ def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: 
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
     def round_of_first(count: int, search: _Search) -> _Search:
-        number = jnp.cumsum(is_open(search))  # of each open pair, from 1
-        lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
+        number = jnp.cumsum(is_open(search))  # rank of each open pair, from 1
+        lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # past the last pair if fewer are open
         first = after_round(*jax.tree.map(lambda a: _at(a, lanes, "clip"), (pairs, search)))
         return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
 
@@ -378,7 +374,7 @@ def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: 
 
 
 def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
-    """Look into the most promising corner of each first point."""
+    """Examine the most promising corner of each first point."""
     x, leaf_x, leaf_y = pairs.x, pairs.leaf_x, pairs.leaf_y
     first, at_first, second = _smallest(pairs.at_least, search.done_x)
     via_x = _corner_of(tables, leaf_x, first)
@@ -415,7 +411,6 @@ def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
 def _with_bit(
     words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool
 ) -> UInt32[Array, "n words"]:
-    """Words after the bit of a place is set in each, if so."""
     number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
     bit = jnp.where(if_so, jnp.uint32(1) << (place & 31), 0)
     return words | jnp.where(number == (place >> 5)[:, None], bit[:, None], 0)
@@ -424,11 +419,9 @@ def _with_bit(
 def _smallest(
     values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
 ) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Where the smallest of each row is, of those not done with, to rounding; it; and the smallest of the others.
-
-    Compilers find the place of a minimum slowly, and a minimum fast. So the places stand in the last bits of what the
-    values are above a little less than the minimum, where they do not disturb the order of any that differ.
-    """
+    """Return place and value of the smallest open entry of each row, and the smallest of the others."""
+    # Compilers find a minimum fast but its place slowly. So the place is packed into the last bits of the excess over
+    # a bound slightly below the minimum, where it cannot reorder values that differ by more than rounding.
     columns = np.arange(values.shape[1], dtype=np.uint32)[None]
     is_done = done[:, columns[0] // 32] & (np.uint32(1) << columns % 32) != 0
     values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
@@ -442,25 +435,21 @@ def _smallest(
 
 
 def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
-    """Lengths of the legs from points to all corners of their leaves' lists."""
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
 def _corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
-    """The corners at some places of leaves' lists."""
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
 def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Lengths of vectors."""
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
 def _at(
     table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
 ) -> Shaped[Array, "..."]:
-    """Entries of a table, whose numbers are in it."""
     return table.at[index].get(mode=mode)
 
 
@@ -471,7 +460,6 @@ def _is_leg_hidden(
     x: Float[Array, "n 2"],
     corner: Float[Array, "n 2"],
 ) -> Bool[Array, "n"]:
-    """Whether an obstacle is between points and corners at some places of their leaves' lists."""
     if tables.near is None:
         return is_hidden(tables, x, corner)
     (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -485,11 +473,11 @@ def _is_leg_hidden(
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether an obstacle is between points. Occluders tell most hidden pairs, walls the others."""
+    """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest."""
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     if is_symbolic_dim(size) or size <= _TESTED:
         return hidden | _is_across_walls(tables, x, y)
-    number = jnp.cumsum(~hidden)  # of each pair that is left, from 1
+    number = jnp.cumsum(~hidden)  # rank of each undecided pair, from 1
 
     def test_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
         lanes = jnp.searchsorted(number, done * _TESTED + 1 + jnp.arange(_TESTED))  # past the end if fewer are left
@@ -502,10 +490,10 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 def is_across_occluder(
     occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 ) -> Bool[Array, "n"]:
-    """Return whether lines between points certainly cross an occluder, whatever is rounded.
+    """Return whether segments between points cross an occluder even after rounding.
 
-    Rounding may put an end of an occluder on the other side of a line. So both points must be clear of the occluder's
-    own line, on its two sides.
+    Rounding may put an end of an occluder on the wrong side of a segment. So the points must be clear of the
+    occluder's line, on opposite sides.
     """
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
@@ -522,11 +510,11 @@ def is_across_occluder(
 
 
 def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether an obstacle, whose walls have moved back a little, is between points.
+    """Return whether an obstacle, whose walls have moved back a little, separates points.
 
-    A line through an obstacle goes in across a wall and out across another. A line goes in alone, or out alone, from
-    a point that rounding puts into a wall, or that is in two parts of free space at once where thin walls have moved
-    past one another: such a point sees both sides. Where paths must be certainly free, such a line is hidden.
+    A segment through an obstacle crosses one wall inward and another outward. A single crossing happens at a point
+    that rounding puts into a wall, or where thin walls have moved past one another; such a point sees both sides. If
+    paths must be certainly free, a single crossing hides.
     """
 
     def meets(crossed, walls):
@@ -542,7 +530,7 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether points are inside the walls: walls that have changed sides wind around the other way."""
+    """Return whether points are inside the walls: walls that have changed sides count negatively."""
 
     def winds(turns, walls):
         for wall in walls:

@@ -1,20 +1,17 @@
-"""The file of a PairPLR: what it holds of a workspace, and its layout.
+"""The file of a PairPLR: its contents and layout.
 
-It is a PLR file (see ``plr/container.py``) whose leaf model has the code 7, of two layers. The first one holds:
+The file is a PLR file (see ``plr/container.py``) whose leaf model has code 7. It has two layers. The first holds:
 
-    the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
-    the outline of free space: the lattice's step, whether paths may squeeze, the sizes of the rings, and the points
-    which of its points are corners, a set
-    which pairs of corners are joined, a set of the pairs in order of the later corner
-    if there are any, the walls that lower bounds do not count on, a set
+1. the largest error of a distance that comes from rounding points to the outline's lattice, a 32-bit float;
+2. the outline of free space: lattice step, whether paths may squeeze, ring sizes, points;
+3. the set of outline points that are corners;
+4. the set of joined corner pairs, ordered by the later corner;
+5. if there are any, the set of walls that lower bounds ignore.
 
-The second one makes queries quick:
+The second layer makes queries fast. It holds the tree over the leaves, then the listed corners: first the set of
+corners that no leaf lists, then for each level the set of corners that the halves of its split nodes drop.
 
-    the tree over the leaves
-    the corners that are listed: for the root those that it leaves out of all, a set; then for the halves of the split
-      nodes of each level, those that they leave out of their parent's, a set a level
-
-Files of plr_jax 0.1 may hold the joined pairs in a layer of their own between the two, behind the error again.
+Files of plr_jax 0.1 may store the joined pairs in a layer between these two, after a second copy of the error.
 """
 
 from collections.abc import Iterator
@@ -29,28 +26,30 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle, turned_left
+from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
-_SHARP = -0.5  # cosine of the turn at a tip of an obstacle, at the most
-_MITRE = 4.0  # times as far as a wall recedes does a tip at the most
+_SHARP = -0.5  # cosine between the normals of two walls, below which their common point is a tip
+_MITRE = 4.0  # distances that a point moves at most; farther for tips, which are closed again
 _COUNT_BITS = 32
-_WALLS_AT_ONCE = 2**5  # walls of which it is found what they cross
+_WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Rings of points with integer coordinates.
+    """Boundary rings of free space on an integer lattice, with free space on the left of each wall.
+
+    Wall ``i`` leads from point ``i`` to the next point of its ring.
 
     Attributes:
-        origin: Where both coordinates are 0.
-        step: Width of the lattice.
-        points: Points of all rings, ring by ring, in steps from the origin.
-        first: First point of each ring, and the number of points.
+        origin: Position of the lattice point (0, 0).
+        step: Lattice spacing.
+        points: Points of all rings, ring by ring, in lattice steps.
+        first: Index of the first point of each ring, then the number of points.
         may_squeeze: Whether a path may pass between walls that touch in one point.
-        thin: Walls that lower bounds do not count on, as they are not inside of an obstacle after they move back.
+        thin: Walls that may leave their obstacle when they move back. Lower bounds ignore them.
     """
 
     origin: Float[np.ndarray, "2"]
@@ -62,24 +61,24 @@ class Outline:
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
-        """Where the points are."""
+        """Return the points' coordinates in workspace units."""
         return self.origin + self.step * self.points
 
     @cached_property
     def _following(self) -> Int[np.ndarray, "points"]:
-        """The next point of each point's ring."""
+        """Return the next point of each point's ring."""
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
 
     @property
     def is_thin(self) -> Bool[np.ndarray, "points"]:
-        """Which walls are thin, those from each point to the next one."""
+        """Return which walls are thin, as a mask."""
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Contacts of free space that no path may squeeze through: places at which several walls begin."""
+        """Return which points are contacts that no path may pass: several walls begin there."""
         _, index = np.unique(self.points, axis=0, return_inverse=True)
         return (np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1) & (not self.may_squeeze)
 
@@ -89,7 +88,7 @@ class Outline:
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
-        """As ``_following``, but at a contact each wall goes on around its own obstacle: obstacles are then apart."""
+        """Return the next point of each point around the same obstacle: obstacles part at contacts."""
         following, at = self._following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
@@ -103,7 +102,10 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, "points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """The walls that arrive at each point and leave it, as vectors; walls that are points are passed over."""
+        """Return the walls that arrive at and leave each point, as vectors.
+
+        A wall of length 0 is replaced by the nearest longer wall in the same direction.
+        """
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
         arriving = leaving[comes_from]
         for walls, beyond in ((leaving, following), (arriving, comes_from)):
@@ -113,23 +115,25 @@ class Outline:
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
-        """Points that stand out into the free space on their side."""
+        """Return which points stick out into free space."""
         (ax, ay), (bx, by) = (walls.T for walls in self._beside(self._following))
         return ax * by < ay * bx
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether points are in free space."""
-        import shapely  # which to load a file does not need
+        """Return whether points are in free space."""
+        import shapely  # loading a file does not need it
 
         shapely.prepare(self.region)
         return shapely.intersects_xy(self.region, *x.T)
 
     @cached_property
     def region(self) -> Any:
-        """Free space: of the faces between the walls those from which a ray crosses an odd number of walls.
+        """Return free space as a Shapely geometry: the faces from which a ray crosses an odd number of walls.
 
-        Rings may touch one another and themselves, so they are no polygons. Raises ``ValueError`` if they cross more
-        often than details narrower than the lattice make them.
+        Rings may touch themselves and one another, so they are not valid Shapely rings.
+
+        Raises:
+            ValueError: If walls cross more often than rounding to the lattice explains.
         """
         import shapely
 
@@ -153,41 +157,30 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative.
+        """Return the ends of all walls after they move back into obstacles.
 
-        Walls that move back leave contacts open, and cut off tips. So further walls, there and back, go from the
-        contact, or from where a tip may be cut off, to where the walls meet.
+        If the distance is negative, walls move into free space instead. Walls that move back open contacts and cut
+        off tips. Pairs of opposite walls close both: they lead from the contact, or from near the tip, to the point
+        where the moved walls meet.
 
         Args:
-            distance: How far they move.
-            surely: Whether all walls move back, however thin obstacles are, and without the further walls.
+            distance: How far walls move, in workspace units.
+            surely: Whether all walls move, even those of thin obstacles, and nothing closes contacts and tips.
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
         walls = np.concatenate([moved, moved[following]], axis=1)
         if distance <= 0 or surely:
             return walls
-        # 1. A wall of which one end stays moves back from a little beside that end on.
-        along = self.positions[following] - self.positions
-        length = np.linalg.norm(along, axis=1)
-        stays, parts = (moved == self.positions).all(axis=1), [walls]
-        for is_end, sign in ((False, 1), (True, -1)):
-            rows = np.flatnonzero((stays != is_end) & (stays[following] == is_end) & (length > 8 * distance))
-            u, end = along[rows] / length[rows, None], slice(2, 4) if is_end else slice(0, 2)
-            foot, other = walls[rows, end] + distance * (sign * u - turned_left(u)), walls[rows]
-            other[:, 2 - end.start : 4 - end.start] = walls[rows, end] = foot
-            parts.append(other)
-        # 2. Walls there and back.
         away = self.positions - moved
         far = np.linalg.norm(away, axis=1)
         most = np.where(self.is_contact, 0.0, _MITRE * distance)
         tips = np.flatnonzero(far > most)
         start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
-        parts += [np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])]
-        return np.concatenate(parts)
+        return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Rectangles around thin walls, as walls of obstacles: walls between tips that are cut off hardly move."""
+        """Return walls of rectangles around thin walls, which hardly move if their ends are blunted."""
         start, end = self.positions[self.thin], self.positions[self._following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
@@ -197,18 +190,18 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """The points after all walls have moved so far back, out of free space, or into it if negative."""
+        """Return the points after their walls move back, or into free space if the distance is negative."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Points at which a wall begins, of those that have moved so far back: contacts, and points that stay."""
+        """Return the points where a line of sight may end: contacts, and points that do not move back."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """How far points move back, in distances. A wall that is a point moves with those beside it.
+        """Return how far points move back, in multiples of the distance.
 
-        Some points do not move back, unless surely: points between thin walls, and ends of walls so short that they
-        would turn around, as of an obstacle that is thinner than twice the distance.
+        A point between two thin walls stays, unless ``surely``. So do the ends of a wall that would change direction,
+        as at the end of an obstacle that is thinner than twice the distance.
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         onward = self.positions[following] - self.positions
@@ -218,13 +211,13 @@ class Outline:
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         if distance <= 0:
             return mitre * np.minimum(1, _MITRE / np.maximum(length, 1e-12))
-        # As far as the sharpest tip needs, but no more than a part of the walls beside it.
+        # Tips recede until their walls have moved by the distance, but at most along a quarter of these walls.
         long = np.linalg.norm(onward, axis=1)
         short = np.minimum(long, long[np.argsort(following)])[:, None]
         mitre *= np.minimum(1, np.maximum(_MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
         if surely:
             return mitre
-        is_tip = (cosine < _SHARP) & (sine < 0)  # which recedes along itself, within its obstacle
+        is_tip = (cosine < _SHARP) & (sine < 0)  # a tip recedes along itself, inside its obstacle
         mitre[self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
@@ -232,7 +225,7 @@ class Outline:
         return mitre
 
     def write(self, body: BitWriter) -> None:
-        """Append the outline to a file's body."""
+        """Append the outline to the body of a file."""
         body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
         body.write(np.array([self.may_squeeze], np.int64), 1)
         sizes = np.diff(self.first)
@@ -242,33 +235,36 @@ class Outline:
 
 
 def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Unit normals of walls, to the left; zero of walls that are points."""
+    """Return unit left normals of walls, zero for walls of length 0."""
     is_wall = walls.any(axis=1, keepdims=True)
     return np.where(is_wall, left_normal(np.where(is_wall, walls, 1.0)), 0.0)
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
-    """The outline that comes next; raises ``ValueError`` if it is none."""
+    """Read an outline; raise ``ValueError`` if the data is not one."""
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
-        raise ValueError(f"its points are {step} apart")
+        raise ValueError(f"its lattice step must be positive and finite, got {step}")
     may_squeeze = bool(body.read_fixed_width(1, 1)[0])
     num_rings = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     sizes = body.read_coded(num_rings)
     if not num_rings or sizes.min() < 3:
-        raise ValueError("it has no ring of points, or one of fewer than three")
+        raise ValueError("each of its rings must have three points or more, and it needs one ring")
     first = np.concatenate([[0], np.cumsum(sizes)])
     points = np.stack([np.cumsum(body.read_signed(int(first[-1]))) for _ in range(2)], axis=1)
     return Outline(origin, float(step), points, first, may_squeeze)
 
 
-_DISTANCES_AT_ONCE = 2**21  # distances
+_DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 
 
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Shortest distances between points some of which are joined, ``inf`` without a path: first rows, and some."""
+    """Yield blocks of the matrix of shortest distances between points over given edges, ``inf`` without a path.
+
+    Each block comes with the index of its first row.
+    """
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -278,8 +274,8 @@ def distances_by_rows(
         yield begin, dijkstra(graph, directed=False, indices=rows)
 
 
-def distances_table(stored: "Stored", size: int) -> Float[np.ndarray, "size size"]:
-    """Shortest distances between all corners in 32 bits, and to none, ``inf``, in rows and columns up to a size."""
+def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
+    """Return distances between all corners in 32 bits, padded with ``inf`` to ``(size, size)``."""
     table = np.full((size, size), np.inf, np.float32)
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
@@ -288,25 +284,25 @@ def distances_table(stored: "Stored", size: int) -> Float[np.ndarray, "size size
 
 MOST_CORNERS = 2**13
 WIDEST = 1e18
-"""Width of the widest domain: squares of distances stay within 32-bit floats."""
-_MOST_NUMBERS = 2**24  # of a table of leaves and corners that queries read
+"""Largest domain width: squares of distances stay finite in 32 bits."""
+_MOST_NUMBERS = 2**24  # entries of the query table of leaves and corners
 _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """What a file holds.
+    """Decoded contents of a file of pairs.
 
     Attributes:
-        domain: The box.
-        outline: Free space.
-        corner: Points of the outline that are corners, ascending.
-        edges: Pairs of corners that a shortest path may join straight, the earlier one first.
+        domain: The box of valid points.
+        outline: The boundary of free space.
+        corner: Outline points that are corners, ascending.
+        edges: Pairs of corners that a shortest path may join straight, the smaller index first.
         tree: The tree over the leaves.
-        leaf: The leaf of each entry of a list, in the order of the tree's traversal.
-        listed: Its corner; ascending in a leaf.
-        rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
-        label: Text that the file says of itself.
+        leaf: Leaf of each list entry, in the tree's traversal order.
+        listed: Corner of each list entry, ascending within a leaf.
+        rounding: Largest error of a distance caused by rounding points to the lattice.
+        label: Text label of the file.
     """
 
     domain: Box
@@ -321,16 +317,16 @@ class PairsFileData:
 
     @property
     def cells(self) -> Cells:
-        """The leaves' cells, in the order of the tree's traversal."""
+        """Return the cells of the leaves, in the tree's traversal order."""
         return self.tree.leaves
 
     @cached_property
     def points(self) -> Float[np.ndarray, "corners 2"]:
-        """Where the corners are."""
+        """Return the positions of the corners."""
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
-        """The bytes of the file."""
+        """Encode the file."""
         first, lists, count = BitWriter(), BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
@@ -343,7 +339,7 @@ class PairsFileData:
         if len(self.outline.thin):
             first.write_set(self.outline.is_thin)
         write_tree(lists, self.tree)
-        # Each node lists what its halves list together, and is written as what it does not list of its parent's.
+        # A node lists the union of its halves' lists. The file stores which of its parent's corners it drops.
         tree = self.tree
         of_node = np.zeros((len(tree.child), count), bool)
         of_node[tree.node_of_leaf[self.leaf], self.listed] = True
@@ -357,8 +353,8 @@ class PairsFileData:
         return Container(self.domain, layers, label=self.label).to_bytes()
 
     @staticmethod
-    def from_bytes(data: bytes) -> "Stored":
-        """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    def from_bytes(data: bytes) -> "PairsFileData":
+        """Decode a file; raise ``ValueError`` with the reason if that fails."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
@@ -366,7 +362,7 @@ class PairsFileData:
         if any(layer.proof_code for layer in container.layers) or container.folding is not None:
             raise ValueError("its pairs have proofs or folded points")
         if domain.dim != 2 or domain.is_periodic:
-            raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
+            raise ValueError(f"its domain must be a box in the plane without periodic axes, got {domain}")
         if not domain.width.max() <= WIDEST:
             raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
         stated = 1 + len(Header.read(data).marks)
@@ -375,13 +371,13 @@ class PairsFileData:
         if stated > 3:
             raise ValueError(f"its pairs have {stated} layers, more than 3")
         body, *others, lists = (BitReader(layer.body) for layer in container.layers)
-        # 1. The outline, and which of its points are corners.
+        # 1. Read the outline and its corners.
         rounding = _read_rounding(body)
         outline = read_outline(body, domain.lo)
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
-            raise ValueError(f"it has {count} corners; at most {MOST_CORNERS} are read")
-        # 2. Pairs of corners, of which the file tells the numbers.
+            raise ValueError(f"it may have at most {MOST_CORNERS} corners, got {count}")
+        # 2. Decode pair numbers into pairs of corners.
         if others:
             if not body.at_end():
                 raise ValueError("it holds more data than its outline needs")
@@ -396,7 +392,7 @@ class PairsFileData:
             outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
-        # 3. The tree and the leaves' lists.
+        # 3. Read the tree and the leaves' lists.
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
@@ -408,21 +404,21 @@ class PairsFileData:
 
 
 def most_leaves(count: int) -> int:
-    """How many leaves there may be with so many corners."""
+    """Return the largest number of leaves for a number of corners."""
     return max(1, _MOST_NUMBERS // max(1, count))
 
 
 def _read_rounding(body: BitReader) -> float:
     rounding = float(body.read_floats(1)[0])
     if not 0 <= rounding < np.inf:
-        raise ValueError(f"its distances err by {rounding}")
+        raise ValueError(f"its rounding error must be at least 0 and finite, got {rounding}")
     return rounding
 
 
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """The leaves' lists that come next; raises ``ValueError`` where they have more entries than all may have."""
+    """Read the leaves' corner lists; raise ``ValueError`` if they have more than ``most`` entries."""
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:

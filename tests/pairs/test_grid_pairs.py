@@ -133,7 +133,7 @@ TEXT = cast(Any, "here")
     [
         (lambda pairs: pairs([[0, 0, 0]], [[0, 0]]), r"x must have shape \(\.\.\., 2\), got \(1, 3\)"),
         (lambda pairs: pairs([0, 0], jnp.zeros(3)), r"y must have shape"),
-        (lambda pairs: pairs(np.zeros((2, 2)), np.zeros((3, 2))), "must be of one shape"),
+        (lambda pairs: pairs(np.zeros((2, 2)), np.zeros((3, 2))), "must broadcast"),
         (lambda pairs: pairs(TEXT, [0, 0]), "x must be points"),
         (lambda pairs: pairs(jnp.zeros(2, complex), jnp.zeros(2)), "real"),
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),

@@ -158,12 +158,12 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
         check_refused(stored, "one goal; use load", **with_layer(0, leaf_code=code))
     for number in (np.nan, np.inf, -1.0):
         body = np.float32(number).tobytes() + first.body[4:]
-        check_refused(stored, "its distances err by", **with_layer(0, body=body))
+        check_refused(stored, "its rounding error must be", **with_layer(0, body=body))
     check_refused(stored, "more data than its outline needs", layers=(first, first, lists))
     check_refused(stored, "its pairs have 4 layers", layers=(first, lists, lists, lists))
     check_refused(stored, "cut off before its lists", layers=(first,))
     for domain in (Box((0,), (1,)), Box((0, 0), (1, 1), periodic=(True, False)), Box((0, 0, 0), (1, 1, 1))):
-        check_refused(stored, "they ought to be of a region in the plane", domain=domain)
+        check_refused(stored, "must be a box in the plane", domain=domain)
     check_refused(stored, r"1e\+19 wide, more than 1e\+18", domain=Box((0, 0), (1e19, 1)))
 
 
