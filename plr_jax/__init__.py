@@ -19,20 +19,17 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 - Inside `jit`, on maps that are traced arrays: `grid_distance` returns a `GridDistance` to one goal, or
   `GridDistances` between any two points.
 - Without an oracle: `solve_eikonal` needs only a space: `PlaneSpace`, `VoxelSpace`, `RigidBodySpace`, `PlanarArm`, or
-  `ClearanceSpace` for any robot with a signed distance. Protocols for your own: `FreeTest`, `SeesBoxes`, and
-  `ConfigurationSpace` with `CellState`.
+  `ClearanceSpace` for any robot with a signed distance. Protocols for your own space: `FreeTest`, `SeesBoxes`, and
+  `ConfigurationSpace`, which returns a `CellState`.
 - Costs of motions: `MotionCost`, and cost maps, which give a cost per unit of length: `CostMap`, `RasterCost`,
   `LipschitzCost`, `DirectionalCost`.
 
 **Axis order.** Points are always rows `(x, y)` or `(x, y, z)`.
 
-- Pixels and cells are `free[row, column]`, rows along `y`, row 0 at the lowest `y`: `Workspace.from_mask`,
-  `GridGraph`, `construct_grid_pairs`, `grid_distance`, and the result of `GridPairs.window`. For a picture, whose
-  first row is the top, use `Workspace.from_mask(free, row0="top")`.
-- Rasters of numbers are `values[row, column]`, or `values[z, y, x]`, the last axis along `x`: `GridField`,
-  `RasterCost`. For a picture, use `values[::-1]`.
-- Voxels are `free[x, y, z]`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`. The transpose `.T` converts between
-  rasters and voxels.
+- Pixels and cells are `free[row, column]`, row 0 at the lowest `y`: `Workspace.from_mask`, `GridGraph`,
+  `construct_grid_pairs`, `grid_distance`, `GridPairs.window`. For a picture, use `from_mask(free, row0="top")`.
+- Rasters are `values[row, column]` or `values[z, y, x]`: `GridField`, `RasterCost`. For a picture use `values[::-1]`.
+- Voxels are `free[x, y, z]`: `VoxelSpace`, `VoxelGraph`, `scenes.read_volume`. `.T` converts from and to rasters.
 
 # Store: compress distances into kilobytes
 

@@ -57,7 +57,6 @@ def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
-    """Read a JSON file; ``ValueError`` if it is invalid or exceeds the limits of this module."""
     text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
@@ -111,7 +110,6 @@ def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) 
 
 
 def format_name(kind: str) -> str:
-    """Return the value of "format" in a JSON file of a kind, such as "scene"."""
     return f"plr_jax {kind}"
 
 

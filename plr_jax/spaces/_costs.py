@@ -45,10 +45,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return a positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
-
-        Boxes may leave the domain around periodic axes.
-        """
+        """Return positive lower and finite upper bounds of the factor over boxes, which may cross periodic axes."""
         ...
 
 
@@ -103,9 +100,6 @@ class LipschitzCost:
         cost_fn: The factor at configurations ``(n, dof)``, positive; a cost per unit of length.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
         least: Positive lower bound of the factor everywhere, for boxes so large that the constant says nothing.
-
-    Raises:
-        ValueError: If an argument has the wrong type or is out of range.
     """
 
     cost_fn: Callable[[np.ndarray], ArrayLike]
@@ -119,11 +113,7 @@ class LipschitzCost:
         object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at configurations ``(n, dof)``.
-
-        Raises:
-            ValueError: If the function returns another shape, or a number that is not finite or below ``least``.
-        """
+        """Return the factor at configurations ``(n, dof)``; ``ValueError`` if it is not finite or below ``least``."""
         return self._factors(np.asarray(q, np.float64))[0]
 
     def _factors(self, q: Vectors) -> tuple[Rates, float]:

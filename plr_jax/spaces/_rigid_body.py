@@ -36,13 +36,9 @@ class RigidBodySpace(BodySpace):
 
     Args:
         workspace: The Workspace.
-        robot: A robot with a heading, such as a RectangleRobot or a PolygonRobot.
-        rotation_weight: Cost of a turn by one radian, in workspace units, positive. None: the robot's circumscribed
-            radius, as for a Problem.
-
-    Raises:
-        ValueError: If the workspace has the wrong type, the robot has no heading, or the weight is not positive and
-            finite.
+        robot: A robot with a heading, such as a RectangleRobot or a PolygonRobot; others raise ``ValueError``.
+        rotation_weight: Cost of a turn by one radian, in workspace units, positive; by default the circumscribed
+            radius.
     """
 
     rotation_weight: float | int | None = None

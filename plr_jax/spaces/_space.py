@@ -38,11 +38,8 @@ class MotionCost:
     optimal, and a motion costs the same in reverse: time cannot be an axis.
 
     Args:
-        blocks: Pairs ``(axes, weight)``: a motion of length 1 within these axes costs ``weight``. Every axis is in
-            one block.
-
-    Raises:
-        ValueError: If an axis is in no block or in several, or a weight is not positive and finite.
+        blocks: Pairs ``(axes, weight)``: a motion of length 1 within these axes costs ``weight``, which is positive
+            and finite. Every axis must be in exactly one block, otherwise ``ValueError`` is raised.
     """
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]
@@ -78,13 +75,8 @@ class MotionCost:
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
         """Return the costs of straight motions, ``(n,)``; NaN where a configuration is not finite.
 
-        Args:
-            q0: Start configurations, ``(n, dof)``.
-            q1: End configurations, ``(n, dof)``.
-            domain: The box whose periodic axes motions cross the short way. Obstacles are ignored.
-
-        Raises:
-            ValueError: If shapes are wrong or differ, or the domain has another dimension.
+        Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
+        obstacles. Wrong shapes, or a domain of another dimension, raise ``ValueError``.
         """
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of {self.dof} axes, got {domain}.")
