@@ -12,8 +12,8 @@ workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4,
 oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 ```
 
-- Maps: `Workspace` and `Box`; published scenes and file readers in `scenes`. Teams: `Problem` with a `Robot` each, a
-  `PointRobot`, `DiscRobot`, `RectangleRobot` or `PolygonRobot`.
+- Maps: `Workspace` and `Box`; published scenes and file readers in `scenes`. Teams: `Problem` with several `Robot`
+  objects: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
 - Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `VoxelGraph`,
   `NearestGoal`; `robot_distance_fns` makes one per robot of a problem.
 - Inside `jit`, on maps that are traced arrays: `grid_distance` returns a `GridDistance` to one goal, or

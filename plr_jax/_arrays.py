@@ -147,7 +147,7 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the least of the ``sizes`` of at least ``n``, else a power of two: few sizes to compile for."""
+    """Return the smallest of ``sizes`` that holds ``n`` rows, else the next power of two, to compile few sizes."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 

@@ -160,9 +160,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         path.write_bytes(data)  # a device or pipe must not be replaced
         return
     target = path.resolve()  # replace the target of a symbolic link, not the link
-    temporary = target.with_name(
-        f".{secrets.token_hex(8)}.tmp"
-    )  # short, in case the target's name has the maximum length
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")  # short: the target's name may have maximum length
     try:
         with open(temporary, "xb") as file:
             if mode is not None:

@@ -28,12 +28,8 @@ def load(path: str | os.PathLike) -> Any:
 
     It gives the same answers, bit for bit, and has the same ``to_bytes()``. The query tables of a PairPLR are many
     times larger than its file. They are built by the first query, which takes seconds to minutes with thousands of
-    corners.
-
-    Raises:
-        ValueError: If the file is truncated, corrupt, of another kind or format version, or the path is not a file
-            name.
-        OSError: If the file cannot be read.
+    corners. A file that is truncated, corrupt, or of another kind or format version raises ``ValueError``; one that
+    cannot be read raises ``OSError``.
     """
     path = file_path(path)
     try:

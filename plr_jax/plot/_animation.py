@@ -181,20 +181,17 @@ class Animation:
 def animate(
     problem: Problem, path: ArrayLike, *, seconds: float | int = 8.0, frames_per_second: float | int = 20.0
 ) -> Animation:
-    """Set a path in motion.
+    """Set a path in motion; ``ValueError`` if the path is invalid or nothing moves.
 
     In each motion, the robot with the largest cost moves at unit speed, and the others arrive with it: the total time
     is the makespan. Robots turn the shorter way. Steps in which nothing moves are skipped.
 
     Args:
         problem: The problem that the path solves.
-        path: Joint configurations, ``(steps, robots, dof)``, finite, with some motion.
+        path: Joint configurations, ``(steps, robots, dof)``, finite.
         seconds: Duration of one playback, positive.
         frames_per_second: Frame rate of a GIF, above 0 and at most 50, rounded so that frames last whole hundredths
             of a second. Web pages always play at the screen's rate.
-
-    Raises:
-        ValueError: If the path is invalid or does not move, or a number is out of range.
     """
     as_finite("seconds", seconds, positive=True)
     expected = f"above 0 and at most {_LARGEST_RATE:g}"

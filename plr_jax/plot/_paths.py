@@ -24,7 +24,7 @@ from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Joint ``configurations`` at increasing ``times`` from 0 to the makespan, with unwrapped headings."""
+    """Joint ``configurations`` at ``times`` from 0 to the makespan, never decreasing, with unwrapped headings."""
 
     times: Float[np.ndarray, "steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
@@ -237,13 +237,13 @@ def plot_path(
     """Draw a path or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
     Each robot leaves a line in its color and faded bodies at equal times. At the end of the part it is solid and
-    numbered.
+    numbered. An invalid path or number raises ``ValueError``.
 
     Args:
         problem: The problem that the path solves.
         path: Joint configurations, ``(steps, robots, dof)``, finite.
         ax: Axes to draw on; a new figure by default.
-        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show two
+        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show
             halves.
         end: End of the part, as a share of the makespan.
         num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.

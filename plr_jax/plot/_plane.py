@@ -250,16 +250,14 @@ def plot_error(
 
     Args:
         errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as from
-            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red.
+            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red. At least one is
+            finite.
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors.
         largest: Error at the upper end of the color scale; larger errors are clipped. By default the 99.9 % quantile.
             Use the same number for pictures that are to be compared.
-
-    Raises:
-        ValueError: If no error is finite, an error is masked, or ``at`` does not leave two axes.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]

@@ -45,7 +45,8 @@ def slices(
 ) -> list[Axes]:
     """Draw slices of a function of three or more dimensions, side by side with one color scale.
 
-    The result is the axes of the slices in a new figure, from the lowest coordinate on.
+    The result is the axes of the slices in a new figure, from the lowest coordinate on. Errors are those of
+    :func:`plot_contours`.
 
     Args:
         plr: The PLR, or another function of a box.
@@ -58,9 +59,6 @@ def slices(
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
         resolution: Number of samples along the longer side of a slice.
-
-    Raises:
-        ValueError: As for :func:`plot_contours`, or if an axis or the count is out of range.
     """
     domain: Box = plr.domain
     if domain.dim < 3:

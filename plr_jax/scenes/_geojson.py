@@ -66,7 +66,7 @@ def read_geojson(
     bounds: Box | ArrayLike | None = None,
     squeeze: bool = False,
 ) -> Workspace:
-    """Read the polygons of a GeoJSON file as a workspace.
+    """Read the polygons of a GeoJSON file (RFC 7946) as a workspace.
 
     Coordinates are taken as points of a plane with the same unit along both axes. Degrees of longitude and latitude
     are not such points: if coordinates look like degrees, a warning says so. Project them first, for example to UTM.
@@ -81,9 +81,6 @@ def read_geojson(
     Raises:
         ValueError: If the file is not GeoJSON, has another kind of geometry or a polygon that is not simple and
             finite, nothing is free, or an argument is invalid.
-
-    References:
-        H. Butler et al., "The GeoJSON Format", RFC 7946, 2016.
     """
     path = Path(path)
     with errors_named(path):

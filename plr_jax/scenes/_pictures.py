@@ -195,8 +195,7 @@ def read_map_server(
     drop_specks: int = 0,
     squeeze: bool = False,
 ) -> Workspace:
-    """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in meters, in the frame of the
-    map.
+    """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in meters.
 
     The occupancy of a pixel is ``1 - lightness``, or its lightness if ``negate`` is set. A pixel is free below
     ``free_thresh``, occupied above ``occupied_thresh``, and unknown between. The mode decides about transparency:
@@ -207,7 +206,8 @@ def read_map_server(
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel. The map is rotated about it by
-    ``yaw`` radians counterclockwise. The bounds of the workspace are the bounding box of the free pixels.
+    ``yaw`` radians counterclockwise. The workspace is in the frame of the map; its bounds are the bounding box of the
+    free pixels.
 
     Args:
         path: The ``.yaml`` file. Its ``image`` is relative to its folder. Defaults are ``negate`` 0,
@@ -253,16 +253,13 @@ def read_cost_map(
     :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats are the factors themselves: costs per
-    unit of length. A cell is blocked where the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF lies where
-    its tags say, in its own units. In other TIFFs a pixel is a square of side 1, and the outer corner of the lower
-    left pixel is at ``(0, 0)``.
+    unit of length. A cell is blocked where the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF (OGC
+    standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel is a square of side 1, and
+    the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
-
-    References:
-        https://docs.nav2.org/configuration/packages/configuring-map-server.html; OGC GeoTIFF Standard 1.1, 2019.
     """
     path = Path(path)
     with errors_named(path):

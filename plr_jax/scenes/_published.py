@@ -1,7 +1,4 @@
-"""The published scenes on which the experiments are run, and perturbed variants of any problem.
-
-Scenes with many vertices or robots are scene files in the folder ``published``.
-"""
+"""The published scenes of the experiments, some of them files in the folder ``published``, and perturbed variants."""
 
 import math
 from collections.abc import Sequence

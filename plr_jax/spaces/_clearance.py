@@ -16,9 +16,8 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, p
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 10
 _ROUNDING = 16.0  # units in the last place by which a clearance may be off
-_LIPSCHITZ_SLACK = (
-    1 + 1e-6
-)  # clearances that differ by more than this factor times the bound contradict the constants
+# Clearances contradict the constants only if they differ by more than this factor times the bound.
+_LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
@@ -117,7 +116,7 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes; ``ValueError`` if clearances are not finite or contradict ``lipschitz``."""
+        """Classify boxes of configurations; ``ValueError`` if clearances contradict ``lipschitz``."""
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))

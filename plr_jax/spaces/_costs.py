@@ -83,7 +83,8 @@ class DirectionalCost(CostMap, Protocol):
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
         ``|dq|``. The bounds of the cost map replace them where costs vary too much: where ``least`` is at most a
-        quarter of ``most``, or exceeds the shortest vector between ``a`` and ``b`` by less than 2 % of ``most``.
+        quarter of ``most``, or exceeds the distance of the segment from ``a`` to ``b`` from 0 by at most 2 % of
+        ``most``.
         """
         ...
 
@@ -136,8 +137,8 @@ class LipschitzCost:
 def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
     """Return lower and upper bounds of the factor over boxes, and pulls, ``(2, n, dof)``, if there are any.
 
-    A motion ``dq`` costs ``|dq|`` times a factor within the bounds, plus the larger scalar product of a pull with
-    ``dq``. An invalid answer of the cost map raises ``ValueError``.
+    A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of a
+    pull with ``dq``. An invalid answer of the cost map raises ``ValueError``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:

@@ -72,9 +72,8 @@ def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     return near
 
 
-_SLIVER = (
-    0.01  # share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
-)
+# Share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
+_SLIVER = 0.01
 
 
 @dataclass(frozen=True)
@@ -140,8 +139,8 @@ class PlaneSpace(BodySpace):
         """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
 
         A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
-        close touch. A box that touches a contact, a point where obstacles touch, is not FREE, since no path passes
-        through it.
+        close touch. A box that touches a point where obstacles touch is not FREE, since no path passes through that
+        point.
         """
         center, half = as_boxes(lo, hi, 2)
         # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.

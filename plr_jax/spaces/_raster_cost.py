@@ -75,10 +75,6 @@ class RasterCost:
             half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
             bounds are wider, because a box that touches a border counts the cells on both sides.
 
-    Attributes:
-        values: The factors, ``inf`` where blocked; read-only.
-        domain: The bounds as a Box.
-
     Raises:
         ValueError: If values are out of range or all blocked, the bounds are not a box with one dimension per raster
             axis, or the interpolation is unknown.
@@ -185,7 +181,8 @@ class RasterCost:
         """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
-        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated.
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. See
+        https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
 
         A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even if
         ``inflation_radius`` is smaller. So :meth:`space` for a point is the space of the robot. Up to
@@ -199,9 +196,6 @@ class RasterCost:
                 (using the shortest side if cells are not cubes).
             cost_scaling_factor: Rate of the exponential decay, per unit of distance.
             cost_travel_multiplier: As for :meth:`from_costmap`.
-
-        References:
-            https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
         reach = as_finite("inflation_radius", inflation_radius)
@@ -319,7 +313,7 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Convert boxes to cell coordinates, enlarged by rounding errors; wrapped ones start in period 1."""
+        """Convert boxes to cell coordinates, enlarged by rounding errors and moved to the first period."""
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach

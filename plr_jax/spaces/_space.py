@@ -33,13 +33,10 @@ class CellState(IntEnum):
 class MotionCost:
     """The cost of a motion: an infinitesimal motion ``dq`` costs the sum over blocks of ``weight * |dq[axes]|``.
 
-    Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of a rigid body is ``(((0, 1), 1.0),
-    ((2,), rotation_weight))``. This is a norm, the same at every configuration. So an unobstructed straight motion is
-    optimal, and a motion costs the same in reverse: time cannot be an axis.
-
-    Args:
-        blocks: Pairs ``(axes, weight)``: a motion of length 1 within these axes costs ``weight``, which is positive
-            and finite. Every axis must be in exactly one block, otherwise ``ValueError`` is raised.
+    Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
+    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
+    an unobstructed straight motion is optimal, and a motion costs the same in reverse: time cannot be an axis. Every
+    axis must be in exactly one block, and weights must be positive and finite, otherwise ``ValueError`` is raised.
     """
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]

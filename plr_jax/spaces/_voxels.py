@@ -37,9 +37,6 @@ class VoxelSpace:
         radius: Radius of the ball, in units of the bounds: 0 for a point, else from a thousand tolerances to half the
             narrowest width of the bounds.
 
-    Attributes:
-        grid: The voxels.
-
     Raises:
         ValueError: If an argument is invalid, no voxel is free, or voxels are too small for the precision of
             coordinates.
