@@ -52,10 +52,7 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """Return an array of any shape as float64; ``expected`` describes it in errors.
-
-    Masked entries are rejected, because the numbers under a mask are arbitrary.
-    """
+    """Return an array as float64; ``expected`` describes it in errors. Masked entries are rejected."""
     try:
         numbers = np.asarray(value)
         if (
@@ -127,7 +124,6 @@ def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> 
 
 
 def require_integer(name: str, value: object, least: int) -> None:
-    """Raise ``ValueError`` unless a value is an integer of at least ``least``."""
     if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least):
         raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.")
 
@@ -151,10 +147,7 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the size to pad ``n`` rows to, so that functions are compiled for few sizes.
-
-    It is the smallest of the increasing ``sizes`` that is at least ``n``, or else the next power of two.
-    """
+    """Return the smallest of ``sizes`` that holds ``n`` rows, else the next power of two, to compile few sizes."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
@@ -165,14 +158,12 @@ def size_in_eighths(n: int) -> int:
 
 
 def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
-    """Return a copy of an array, padded to ``size`` rows with ``fill``."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)], result[len(rows) :] = rows, fill
     return result
 
 
 def as_bool(name: str, value: object) -> bool:
-    """Return a boolean; other values are rejected."""
     if not isinstance(value, bool | np.bool):
         raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
     return bool(value)
@@ -202,10 +193,7 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the items of some runs, and for each item the position of its run in ``which``.
-
-    Run ``i`` holds the items from ``first[i]`` to before ``first[i + 1]``.
-    """
+    """Return the items of some runs, and each item's run as an index into ``which``; run i starts at ``first[i]``."""
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 
@@ -235,11 +223,7 @@ def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "term
 
 
 def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
-    """Hash integers so that every output bit depends on all input bits.
-
-    References:
-        Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
-    """
+    """Hash integers so that every output bit depends on all input bits (SplitMix64, Steele et al., 2014)."""
     bits = numbers.astype(np.uint64) * _FACTORS[0]
     bits = (bits ^ (bits >> np.uint64(30))) * _FACTORS[1]
     bits = (bits ^ (bits >> np.uint64(27))) * _FACTORS[2]
@@ -252,7 +236,6 @@ def format_numbers(numbers: Float[np.ndarray, "n"]) -> list[float]:
 
 
 def set_fields(value: object, **fields: object) -> None:
-    """Set fields of a frozen dataclass in its ``__init__``."""
     for name, each in fields.items():
         object.__setattr__(value, name, each)
 
@@ -267,7 +250,6 @@ def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
 
 
 def require_function(name: str, value: object) -> None:
-    """Raise ``ValueError`` unless a value can be called."""
     if not callable(value):
         raise ValueError(f"{name} must be a function, got {shortened(value)}.")
 
@@ -282,9 +264,6 @@ def shortened(value: object) -> str:
 
 
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
-    """Raise ``TimeoutError`` unless ``seconds`` are left before a deadline of ``time.perf_counter``.
-
-    The message says that the deadline passed before ``purpose``.
-    """
+    """Raise ``TimeoutError`` unless ``seconds`` are left before a deadline of ``time.perf_counter``."""
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

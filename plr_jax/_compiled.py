@@ -16,7 +16,6 @@ _PARTS = 8  # a batch of at most this many small parts uses the small size
 
 
 def num_cores() -> int:
-    """Return the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -31,17 +30,10 @@ def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
 def answered_in_parts(
     answer: Callable[..., tuple[Array, ...]], sizes: tuple[int, int], *rows: Shaped[np.ndarray, "..."]
 ) -> tuple[np.ndarray, ...]:
-    """Apply a compiled function to the rows of arrays, in equally large parts on all cores.
+    """Apply a compiled function to the rows of arrays, ``(*batch, width)``, in equally large parts on all cores.
 
-    Args:
-        answer: Function from ``n`` rows of each array, ``(n, width)``, to arrays ``(n,)``; compiled once for each
-            ``n``.
-        sizes: Rows in a part of a small and of a large batch: the only sizes compiled. The last part is padded with
-            zeros.
-        *rows: Arrays ``(*batch, width)`` whose batches broadcast; widths may differ.
-
-    Returns:
-        The answers, ``(*batch,)`` each.
+    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``, and is compiled for each ``n``:
+    only the two ``sizes``, the rows in a part of a small and of a large batch. The last part is padded with zeros.
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
     count = prod(batch)

@@ -57,7 +57,6 @@ def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
-    """Read a JSON file; ``ValueError`` if it is invalid or exceeds the limits of this module."""
     text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
@@ -111,7 +110,6 @@ def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) 
 
 
 def format_name(kind: str) -> str:
-    """Return the value of "format" in a JSON file of a kind, such as "scene"."""
     return f"plr_jax {kind}"
 
 
@@ -162,9 +160,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         path.write_bytes(data)  # a device or pipe must not be replaced
         return
     target = path.resolve()  # replace the target of a symbolic link, not the link
-    temporary = target.with_name(
-        f".{secrets.token_hex(8)}.tmp"
-    )  # short, in case the target's name has the maximum length
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")  # short: the target's name may have maximum length
     try:
         with open(temporary, "xb") as file:
             if mode is not None:

@@ -12,18 +12,11 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 
 
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
-    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes.
+    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, which is complete or absent.
 
-    The file is written atomically: it is complete or absent. The formats are documented in
-    ``plr_jax/plr/container.py`` and ``plr_jax/pairs/grid_pairs.py``.
-
-    Args:
-        plr: What to save; for a ``MetricPairs``, save its ``plr``.
-        path: The file.
-
-    Raises:
-        ValueError: If ``plr`` has another type, or the path is not a file name.
-        OSError: If the file cannot be written.
+    For a ``MetricPairs``, save its ``plr``. The formats are documented in ``plr_jax/plr/container.py`` and
+    ``plr_jax/pairs/grid_pairs.py``. Another object or file name raises ``ValueError``; a file that cannot be written
+    raises ``OSError``.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
@@ -35,15 +28,8 @@ def load(path: str | os.PathLike) -> Any:
 
     It gives the same answers, bit for bit, and has the same ``to_bytes()``. The query tables of a PairPLR are many
     times larger than its file. They are built by the first query, which takes seconds to minutes with thousands of
-    corners.
-
-    Args:
-        path: The file.
-
-    Raises:
-        ValueError: If the file is truncated, corrupt, of another kind or format version, or the path is not a file
-            name.
-        OSError: If the file cannot be read.
+    corners. A file that is truncated, corrupt, or of another kind or format version raises ``ValueError``; one that
+    cannot be read raises ``OSError``.
     """
     path = file_path(path)
     try:

@@ -52,10 +52,7 @@ class FunctionOfBox(Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function with one piece in each of the boxes that fill its ``domain``, such as a PLR.
-
-    ``leaf_boxes`` holds the lower and upper corners of the boxes, ``(leaves, dim)`` each.
-    """
+    """A function, such as a PLR, with one piece per box; ``leaf_boxes`` has the corners, ``(leaves, dim)``."""
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -63,10 +60,9 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Points through which shortest paths run: a point's distance is that to a source plus the source's distance.
+    """Points of shortest paths: a point's distance is that to its source plus the source's distance to the goal.
 
     Attributes:
-        points: Positions of the sources.
         distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
         parents: Next source on each source's shortest path; its own index for the goal and for unreachable sources.
     """
@@ -98,11 +94,7 @@ class FamilyFn(Protocol):
 
     @staticmethod
     def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Return the sources of shared cells for several functions of the family.
-
-        The result is the distinct sources as ``FamilySources``, their keys, and the index of the sources of each box
-        for each function, ``(fns, boxes)``, -1 where the goal cannot be reached.
-        """
+        """Return distinct ``FamilySources``, their keys, and each box's index per function or -1."""
         ...
 
     @property
@@ -159,11 +151,7 @@ class StackableDistanceFn(Protocol):
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
-        """Combine one function of this type per robot into a single function.
-
-        It maps joint configurations ``(n, robots, dof)`` to distances ``(n, robots)``, equal to those of the single
-        functions.
-        """
+        """Combine a function per robot: joint configurations ``(n, robots, dof)`` to ``(n, robots)``."""
         ...
 
 
@@ -178,12 +166,7 @@ class BoundingFn(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """An isometry that maps a point ``x`` to ``matrix @ x + offset``.
-
-    Attributes:
-        matrix: An orthogonal matrix.
-        offset: The translation; coordinates that are angles count modulo a full turn.
-    """
+    """An isometry ``x -> matrix @ x + offset``; coordinates that are angles count modulo a full turn."""
 
     matrix: Float[np.ndarray, "dim dim"]
     offset: Float[np.ndarray, "dim"]
@@ -196,10 +179,7 @@ class Symmetry:
 
 @runtime_checkable
 class SymmetricFn(Protocol):
-    """A distance function with known symmetries: points and their images have equal distances, up to rounding.
-
-    The symmetries are generators: all their compositions are symmetries as well.
-    """
+    """A distance function with known symmetries, and all their compositions: images have equal distances."""
 
     @property
     def symmetries(self) -> Sequence[Symmetry]: ...

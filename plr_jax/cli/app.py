@@ -43,7 +43,7 @@ def _options(
         bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Declare the options that stand before a command."""
+    pass
 
 
 class _Command(TyperCommand):

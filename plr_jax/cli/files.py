@@ -90,7 +90,6 @@ def query(
 
 
 def _reader(file: Path, is_pairs: bool) -> Any:
-    """Return a function that answers queries of a file: NumPy's reader, or pairs of a grid in JAX."""
     if not is_pairs:
         from plr_jax.plr import load_numpy
 

@@ -99,13 +99,9 @@ def option_of(key: str) -> str:
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map and its options as named on the command line; its text is stored as label of files and can be parsed.
+    """A map and its options as named on the command line; its text is the label of files, and can be parsed.
 
-    Attributes:
-        name: The name of a scene or a file.
-        goal: ``X,Y``; None for the goal of a scene of one robot.
-        resolution, threshold, drop_specks, polygons: Options of the reader; None for its default.
-        radius: Radius of a disc robot; None for a point.
+    None stands for a default: the goal of a scene of one robot, the reader's value of an option, radius 0.
     """
 
     name: str
@@ -201,15 +197,8 @@ def read_map_of_file(
 ) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
     """Return the workspace and goal that belong to a file; None for what neither the user nor the file names.
 
-    Args:
-        file: The file of a PLR or pairs. Its map is also looked for in its folder.
-        content: The PLR or pairs.
-        map_text: MAP and options as given by the user; they override those in the label of the file.
-        goal: The goal as given by the user.
-        is_needed: Whether an unreadable map is an error instead of a warning.
-
-    Raises:
-        ValueError: If a goal is given without any map, or the user's map is invalid.
+    The user's ``map_text``, MAP and options, and ``goal`` override the label of ``content``, the PLR or pairs. A map
+    is also looked for beside ``file``. Without ``is_needed``, an unreadable map of the label is only a warning.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))
@@ -257,10 +246,7 @@ def require_writable(
 ) -> None:
     """Raise an error before any work is done if a file cannot be written.
 
-    Args:
-        path: The file to write; None if nothing is written.
-        endings: Allowed endings; any if empty.
-        inputs: Files that are read, and must not be overwritten.
+    It must have one of the endings, if there are any, and must not be one of the inputs. None is accepted.
     """
     if path is None:
         return

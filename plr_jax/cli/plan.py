@@ -118,7 +118,6 @@ def plan(
 
 
 def _read_problem(name: str, num_robots: int | None) -> "Problem":
-    """Return a published scene, by default with its usual number of robots, or the problem in a scene file."""
     from plr_jax import scenes
 
     if num_robots is not None and name not in _DEFAULT_ROBOTS:

@@ -22,12 +22,7 @@ class PointTable:
     """A table of points as text: ``dim`` comma-separated numbers per line, after an optional header.
 
     Blank lines are skipped. Other rows become NaN and are reported on standard error: the first few, then their
-    number.
-
-    Attributes:
-        name: Name of the table in errors.
-        dim: Numbers per line.
-        strict: Whether an invalid row raises an error, after the rows before it are answered.
+    number. If ``strict``, they raise an error, after the rows before them are answered.
     """
 
     name: str

@@ -142,14 +142,7 @@ _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A path in motion, made by :func:`animate`; notebooks show it.
-
-    Attributes:
-        problem: The problem that the path solves.
-        motion: The path over time.
-        seconds: Duration of one playback.
-        frames_per_second: Frame rate of a GIF.
-    """
+    """A path in motion, made by :func:`animate`; notebooks show it."""
 
     problem: Problem
     motion: Timeline
@@ -162,15 +155,9 @@ class Animation:
         return max(1, round(self.seconds * self.frames_per_second)) + 1
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the animation to a file.
+        """Write the animation to a ``.gif`` or ``.html`` file; another ending raises ``ValueError``.
 
-        Args:
-            path: The file. ``.gif``: a looping picture. ``.html``: a web page with a time slider, sharp at any size,
-                that needs no network.
-
-        Raises:
-            ValueError: If the file has another ending.
-            OSError: If the file cannot be written.
+        A GIF loops. An HTML page has a time slider, is sharp at any size, and needs no network.
         """
         path = file_path(path)
         ending = path.suffix.lower()
@@ -194,23 +181,17 @@ class Animation:
 def animate(
     problem: Problem, path: ArrayLike, *, seconds: float | int = 8.0, frames_per_second: float | int = 20.0
 ) -> Animation:
-    """Set a path in motion.
+    """Set a path in motion; ``ValueError`` if the path is invalid or nothing moves.
 
     In each motion, the robot with the largest cost moves at unit speed, and the others arrive with it: the total time
     is the makespan. Robots turn the shorter way. Steps in which nothing moves are skipped.
 
     Args:
         problem: The problem that the path solves.
-        path: Joint configurations, ``(steps, robots, dof)``.
+        path: Joint configurations, ``(steps, robots, dof)``, finite.
         seconds: Duration of one playback, positive.
         frames_per_second: Frame rate of a GIF, above 0 and at most 50, rounded so that frames last whole hundredths
             of a second. Web pages always play at the screen's rate.
-
-    Returns:
-        The animation, to be saved or shown in a notebook.
-
-    Raises:
-        ValueError: If the path has the wrong shape, is not finite, or does not move, or a number is out of range.
     """
     as_finite("seconds", seconds, positive=True)
     expected = f"above 0 and at most {_LARGEST_RATE:g}"
@@ -296,7 +277,6 @@ class _Actor:
             artist.set_animated(True)
 
     def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
-        """Move to the end of the given part of the robot's path."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
         self.body.set_xy(placed(self.robot, self.outline, q))

@@ -37,13 +37,11 @@ class FunctionsOfLeaves(PiecewiseFunction, Protocol):
 
 
 def require_2d(plr: PiecewiseFunction) -> None:
-    """Raise ``ValueError`` unless a PLR is two-dimensional."""
     if plr.domain.dim != 2:
         raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
 
 
 def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
-    """Return the corners of every cell, counterclockwise."""
     return rectangles(*map(np.asarray, plr.leaf_boxes))
 
 
@@ -55,17 +53,7 @@ def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Fl
 
 
 def save(ax: Axes, path: str | os.PathLike[str]) -> None:
-    """Write the picture that axes belong to.
-
-    Args:
-        ax: Any axes of the picture.
-        path: The file; its ending selects the format: ``.png``, ``.pdf``, ``.svg`` or others that Matplotlib
-            supports.
-
-    Raises:
-        ValueError: If Matplotlib does not support the ending.
-        OSError: If the file cannot be written.
-    """
+    """Write the picture that axes belong to, in any format that Matplotlib supports, such as .png, .pdf or .svg."""
     ax.figure.canvas.figure.savefig(path)
 
 
@@ -84,7 +72,6 @@ def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = Tru
 
 
 def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
-    """Label axes with names and units; angles get ticks at multiples of pi / 2."""
     for axis, number in zip((ax.xaxis, ax.yaxis), shown, strict=True):
         axis.set_label_text(axis_label(domain, number))
         if is_angle(domain, number):
@@ -98,7 +85,6 @@ def is_angle(domain: Box, axis: int) -> bool:
 
 
 def axis_label(domain: Box, axis: int) -> str:
-    """Return the name of an axis with its unit: a position, a heading or a joint angle."""
     angles = [is_angle(domain, other) for other in range(domain.dim)]
     if angles[axis]:
         return f"{_HEADING if angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
@@ -122,7 +108,6 @@ def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], 
 
 
 def new_axes_3d(box: Box, label: str) -> Axes3D:
-    """Return axes in a new figure for a surface over a box, with room for a color bar."""
     figure = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white")
     ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
@@ -149,7 +134,6 @@ def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "
 
 
 def style_colorbar(bar: Colorbar, label: str) -> None:
-    """Label a color bar and style it like the axes."""
     bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
     bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)
     bar.set_label(label, fontsize=FONT_SIZE, color=INK)

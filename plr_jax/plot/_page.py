@@ -1,8 +1,4 @@
-"""Self-contained web pages.
-
-:func:`page` makes an interactive page of a distance function. :mod:`plr_jax.plot._animation` shares its building
-blocks.
-"""
+"""Self-contained web pages: interactive pages of distance functions, and building blocks of animations."""
 
 import html
 import json
@@ -82,7 +78,6 @@ def in_iframe(page: str, width: float | int, height: float | int) -> str:
 
 
 def pixel_scale(bounds: Box) -> float:
-    """Return the number of pixels per workspace unit."""
     return SIZE / float(bounds.width.max())
 
 
@@ -108,31 +103,18 @@ def obstacles_path(workspace: Workspace, bounds: Box) -> str:
 
 
 def view_box(bounds: Box) -> str:
-    """Return the SVG view box of a picture, in pixels."""
     width, height = pixel_scale(bounds) * bounds.width
     return f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A web page that shows a distance function, made by :func:`page`; notebooks show it.
-
-    Attributes:
-        html: The whole page.
-    """
+    """A web page, ``html``, that shows a distance function, made by :func:`page`; notebooks show it."""
 
     html: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the page to a file.
-
-        Args:
-            path: The file, which ends in ``.html``.
-
-        Raises:
-            ValueError: If the file has another ending.
-            OSError: If the file cannot be written.
-        """
+        """Write the page to an ``.html`` file; another ending raises ``ValueError``."""
         path = file_path(path)
         if path.suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
@@ -155,11 +137,8 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     ``pairs.numpy()``, bit for bit.
 
     Args:
-        plr_or_pairs: The PLR or PairPLR to show, in the plane.
+        plr_or_pairs: A PLR or PairPLR in the plane; others raise ``ValueError``.
         workspace: The Workspace whose walls are drawn. Pairs have their own walls.
-
-    Raises:
-        ValueError: If an argument has another type, or the function is not in the plane.
     """
     source = plr_or_pairs
     if not isinstance(source, PLR | PairPLR):

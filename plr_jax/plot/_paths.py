@@ -24,19 +24,13 @@ from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Joint configurations over time.
-
-    Attributes:
-        times: Times from 0 to the makespan, never decreasing.
-        configurations: Configurations at these times. Headings are unwrapped: interpolation turns the right way.
-    """
+    """Joint ``configurations`` at ``times`` from 0 to the makespan, never decreasing, with unwrapped headings."""
 
     times: Float[np.ndarray, "steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
 
     @property
     def duration(self) -> float:
-        """Makespan of the path."""
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
@@ -46,7 +40,6 @@ class Timeline:
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
-        """Return the part of the path between two times, including both ends."""
         inner = self.configurations[(self.times > first) & (self.times < last)]
         ends = self.at(np.array([first, last]))
         return np.concatenate([ends[:1], inner, ends[1:]])
@@ -161,7 +154,6 @@ def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"],
 
 
 def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
-    """Write the number of a robot."""
     text = ax.text(at[0], at[1], str(i), color=color, fontsize=FONT_SIZE - 1, weight="bold", zorder=LABEL)
     text.set(ha="center", va="center_baseline")
     return text
@@ -223,9 +215,7 @@ _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0
 def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
     """Draw a problem: solid bodies at the starts, dashed outlines at the goals, numbered by robot.
 
-    Args:
-        problem: The problem. A bar near a robot's front shows its heading; a point robot is a dot.
-        ax: Axes to draw on; a new figure by default.
+    A bar near a robot's front shows its heading; a point robot is a dot.
     """
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
@@ -244,25 +234,19 @@ def plot_path(
     end: float | int = 1.0,
     num_poses: int = 8,
 ) -> Axes:
-    """Draw a path or a part of it, as in Fig. 3 of the paper.
+    """Draw a path or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
     Each robot leaves a line in its color and faded bodies at equal times. At the end of the part it is solid and
-    numbered.
+    numbered. An invalid path or number raises ``ValueError``.
 
     Args:
         problem: The problem that the path solves.
-        path: Joint configurations, ``(steps, robots, dof)``.
+        path: Joint configurations, ``(steps, robots, dof)``, finite.
         ax: Axes to draw on; a new figure by default.
-        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show two
+        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show
             halves.
         end: End of the part, as a share of the makespan.
         num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.
-
-    Raises:
-        ValueError: If the path has the wrong shape or is not finite, or a number is out of range.
-
-    References:
-        Putman et al., Section V, Fig. 3.
     """
     if not 0 <= begin < end <= 1:
         raise ValueError(f"begin and end must be shares with 0 <= begin < end <= 1, got {begin!r} and {end!r}.")
@@ -286,18 +270,9 @@ def plot_path(
 
 
 def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -> Axes:
-    """Draw a planner's samples, as in Fig. 4 of the paper, in one color per robot.
+    """Draw a planner's samples, as in Fig. 4 of the paper, with one color per robot and starts and goals on top.
 
-    Args:
-        problem: The planned problem, whose starts and goals are drawn on top.
-        samples: Joint configurations, ``(n, robots, dof)``, such as a solution's; one dot per robot position.
-        ax: Axes to draw on; a new figure by default.
-
-    Raises:
-        ValueError: If the samples have the wrong shape or are not numbers.
-
-    References:
-        Putman et al., Section V, Fig. 4.
+    Samples are joint configurations, ``(n, robots, dof)``, such as a solution's; otherwise ``ValueError`` is raised.
     """
     shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
     samples = as_numbers("Samples", samples, f"numbers of shape {shape}")

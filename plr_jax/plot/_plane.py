@@ -50,17 +50,11 @@ def plot_surface(
     label: str = DISTANCE,
     unit: str = WORKSPACE_UNITS,
 ) -> Axes3D:
-    """Draw a 2-D distance function as a surface with one piece per leaf, as in Fig. 1 of the paper.
+    """Draw a 2-D PLR as a surface with one piece per leaf, as in Fig. 1 of the paper.
 
-    Args:
-        plr: The PLR. Leaves without a finite value are left out.
-        ax: 3-D axes to draw on; a new figure by default.
-        workspace: If given, cells are clipped to its free space, outside which the pieces are meaningless.
-        label: The quantity, such as "time to the goal".
-        unit: The unit, such as "s".
-
-    Raises:
-        ValueError: If the PLR is not 2-D, or no leaf has a finite value.
+    Leaves without a finite value are left out. With a workspace, cells are clipped to its free space, outside which
+    the pieces are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR
+    is not 2-D, or no leaf has a finite value.
     """
     require_2d(plr)
     pieces = _pieces(plr, workspace)
@@ -115,12 +109,7 @@ _ERROR_COLORS = "inferno"
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
-    """Draw the obstacles and bounds of a workspace.
-
-    Args:
-        workspace: The workspace.
-        ax: Axes to draw on; a new figure by default.
-    """
+    """Draw the obstacles and bounds of a workspace, on new axes by default."""
     ax = prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
     _add_obstacles(workspace, ax)
     return ax
@@ -163,12 +152,11 @@ def plot_contours(
             drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
-        resolution: Number of samples along the longer side of the domain. There are no lines if the shorter side gets
-            one.
+        resolution: Number of samples along the longer side of the domain; no lines if the shorter side gets only one.
 
     Raises:
-        ValueError: If ``at`` does not leave two axes or is outside the domain, a workspace is given for other axes
-            than its own, the space has another dimension, or no point has a finite value.
+        ValueError: If ``at`` does not leave two axes or is outside the domain, the workspace or space has other axes,
+            or no point has a finite value.
     """
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, space)
@@ -223,7 +211,6 @@ def draw_values(
 
 
 def mark_goal(ax: Axes, goal: Float[np.ndarray, "2"]) -> None:
-    """Mark a goal with a star."""
     ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
 
 
@@ -235,18 +222,9 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a partition, one rectangle per leaf.
+    """Draw the cells of a partition, one rectangle per leaf, with obstacles on top.
 
-    Args:
-        plr: The PLR.
-        ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top.
-        at: The slice of a PLR of more than two dimensions, as for :func:`plot_contours`.
-        color: Color of the lines.
-
-    Raises:
-        ValueError: If ``at`` does not leave two axes or is outside the domain, or a workspace is given for other
-            axes.
+    Arguments and errors are as for :func:`plot_contours`.
     """
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
@@ -268,23 +246,18 @@ def plot_error(
     unit: str = WORKSPACE_UNITS,
     largest: float | None = None,
 ) -> Axes:
-    """Draw the error of an approximation over free space, as in Fig. 2 of the paper.
+    """Draw the error ``|L - V|`` of an approximation over free space, as in Fig. 2 of the paper.
 
     Args:
         errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as from
-            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red.
+            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red. At least one is
+            finite.
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors.
         largest: Error at the upper end of the color scale; larger errors are clipped. By default the 99.9 % quantile.
             Use the same number for pictures that are to be compared.
-
-    Raises:
-        ValueError: If no error is finite, an error is masked, or ``at`` does not leave two axes.
-
-    References:
-        Putman et al., Section IV-A, Fig. 2: ``epsilon_g(x) = |L_g(x) - V_g(x)|``.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]
@@ -339,7 +312,6 @@ def _split_by_reachability(
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
-    """Return the corners of the cells that a slice meets, counterclockwise."""
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
     ends = hi[:, others] == shown.domain.hi[others]
@@ -351,7 +323,6 @@ def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4
 def add_image(
     ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, lowest: float, largest: float | None
 ) -> AxesImage:
-    """Show values at the cell centers of a grid over a box."""
     scale = {"cmap": colors, "vmin": lowest, "vmax": largest}
     extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
     return ax.imshow(values, origin="lower", extent=extent, aspect=aspect, interpolation="nearest", **scale)

@@ -45,25 +45,20 @@ def slices(
 ) -> list[Axes]:
     """Draw slices of a function of three or more dimensions, side by side with one color scale.
 
+    The result is the axes of the slices in a new figure, from the lowest coordinate on. Errors are those of
+    :func:`plot_contours`.
+
     Args:
         plr: The PLR, or another function of a box.
         axis: The axis along which slices are stacked, counted from 0.
         count: Number of slices, from 1 to 64, in the middle of equal layers of the domain.
-        space: The configuration space. Points that are not free, or have no value, are gray. Without it, points
-            without a value stay blank.
+        space: The configuration space: points that are not free, or have no value, are gray. Without it they stay
+            blank.
         goal: A configuration, ``(dim,)``: a star in the nearest slice, which is moved to it.
-        at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn,
-            such as ``{3: 0.5}``.
+        at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
         resolution: Number of samples along the longer side of a slice.
-
-    Returns:
-        The axes of the slices in a new figure, from the lowest coordinate on.
-
-    Raises:
-        ValueError: If the function has fewer than three dimensions, an axis or the count is out of range, ``at`` does
-            not leave two axes or is outside the domain, the space has another dimension, or no point has a value.
     """
     domain: Box = plr.domain
     if domain.dim < 3:

@@ -65,7 +65,7 @@ class PLR(FileBacked):
     ) -> None:
         """Wrap the padded bytes of a file, which must be right: see :func:`from_bytes`.
 
-        ``build_inputs`` is what the PLR was built from, which :meth:`updated` starts with. It is no part of the pytree.
+        ``build_inputs`` is what the PLR was built from; :meth:`updated` starts with it. It is not part of the pytree.
         """
         self.file = file
         self.build_inputs = build_inputs

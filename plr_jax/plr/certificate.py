@@ -308,21 +308,12 @@ def _room_for_classes(num_bytes: int) -> int:
 class Certificate:
     """Proven bounds of the distance minus the values of a PLR.
 
-        Attributes:
-    <<<<<<< HEAD
-            scale: The largest bound, exact in 32 bits, in which codes are expressed.
-            codes: Codes of lower and upper bounds; None if only the scale is stored.
-            straight: A lower bound by the straight line to the goal: ``rate`` times its length, less a margin for rounding.
-                Holds the goal, counted from the lower corner of the domain, the rate and the margin, as 32-bit floats.
-                None if there is no such bound. Only for open leaves.
-    =======
-            scale: Of the codes: the largest bound there is; exact in 32 bits.
-            codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
-            proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
-            straight: A lower bound by the straight line to the goal: ``rate`` times the length, less a margin for
-                rounding, but nowhere above the answer. The goal, counted from the lower corner of the domain, then the rate and the margin, as 32-bit
-                floats. None if there is no such bound. For open leaves only.
-    >>>>>>> h1
+    Attributes:
+        scale: The largest bound, exact in 32 bits, in which codes are expressed.
+        codes: Codes of lower and upper bounds; None if only the scale is stored.
+        straight: A lower bound by the straight line to the goal, nowhere above the answer: ``rate`` times its length,
+            less a margin for rounding. Holds the goal, relative to the lower corner of the domain, the rate and the
+            margin, as 32-bit floats. None if there is no such bound. Only for open leaves.
     """
 
     scale: float

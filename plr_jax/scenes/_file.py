@@ -26,17 +26,10 @@ _KEYS = ("workspace", "robots", "starts", "goals")
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
-    """Write a problem as a scene file.
+    """Write a problem as a scene file, usually ``.json``; the file is complete or absent.
 
-    The file is complete or absent: an interrupted save leaves an older file unchanged.
-
-    Args:
-        problem: The problem.
-        path: The file to write, usually ``.json``.
-
-    Raises:
-        ValueError: If the format cannot represent a robot's shape.
-        OSError: If the file cannot be written.
+    A robot of a shape that the format does not support raises ``ValueError``, a file that cannot be written
+    ``OSError``.
     """
     weight = problem.rotation_weight
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
@@ -74,9 +67,6 @@ def load(path: str | os.PathLike[str]) -> Problem:
     Version 1 has only points and no ``"rotation_weight"``; version 2 has no polygons. :func:`save` writes the oldest
     sufficient version, so that older releases can read it. Numbers are written with enough digits to read the same
     float64 back.
-
-    Args:
-        path: A file that :func:`save` wrote, or a handwritten one.
 
     Raises:
         ValueError: If the file is not a scene, is damaged, has a newer version, or describes an impossible problem.
@@ -148,7 +138,6 @@ def _workspace(entry: Any) -> Workspace:
 
 
 def _obstacle(i: int, entry: Any) -> Any:
-    """Return the outer ring of an obstacle without holes, which the Workspace checks, or else a polygon."""
     if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
         raise ValueError(
             f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}, got {shortened(entry)}.'

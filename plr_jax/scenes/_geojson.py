@@ -29,12 +29,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
         {"outer": ring, "holes": [ring, ...]}
         {"boundary": ring, "holes": [ring, ...]}        (extremitypathfinder)
 
-    Args:
-        path: The ``.json`` file.
-        squeeze: Whether a path may pass between two obstacles that touch in one point.
-
-    Raises:
-        ValueError: If the file is not JSON, has none of these forms, or a ring is invalid.
+    ``squeeze`` says whether a path may pass between two obstacles that touch in one point. An invalid file raises
+    ``ValueError``.
     """
     path = Path(path)
     with errors_named(path):
@@ -70,7 +66,7 @@ def read_geojson(
     bounds: Box | ArrayLike | None = None,
     squeeze: bool = False,
 ) -> Workspace:
-    """Read the polygons of a GeoJSON file as a workspace.
+    """Read the polygons of a GeoJSON file (RFC 7946) as a workspace.
 
     Coordinates are taken as points of a plane with the same unit along both axes. Degrees of longitude and latitude
     are not such points: if coordinates look like degrees, a warning says so. Project them first, for example to UTM.
@@ -85,9 +81,6 @@ def read_geojson(
     Raises:
         ValueError: If the file is not GeoJSON, has another kind of geometry or a polygon that is not simple and
             finite, nothing is free, or an argument is invalid.
-
-    References:
-        H. Butler et al., "The GeoJSON Format", RFC 7946, 2016.
     """
     path = Path(path)
     with errors_named(path):
@@ -117,16 +110,9 @@ def read_wkt(
 ) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
-    Args:
-        path: A ``.wkt`` file of one geometry: a polygon, a multipolygon, or a collection of them. Empty geometries
-            are skipped, altitudes and measures are dropped. Units are as for :func:`read_geojson`.
-        polygons: Whether the polygons are free space or obstacles.
-        bounds: Bounds of the Workspace. None: the bounding box of all polygons.
-        squeeze: Whether a path may pass between two obstacles that touch in one point.
-
-    Raises:
-        ValueError: If the file is not WKT, has another kind of geometry or a polygon that is not simple and finite,
-            nothing is free, or an argument is invalid.
+    A ``.wkt`` file has one geometry: a polygon, a multipolygon, or a collection of them. Empty geometries are
+    skipped, altitudes and measures are dropped. Arguments, units and errors are as for :func:`read_geojson`, but
+    polygons are free space by default, and the default bounds are their bounding box.
     """
     path = Path(path)
     with errors_named(path):
@@ -185,7 +171,6 @@ def _workspace_of(
 
 
 def is_geojson(document: Any) -> bool:
-    """Return whether the value of a JSON file claims to be GeoJSON."""
     return isinstance(document, dict) and document.get("type") in (*_PARTS_KEY, *_UNSUPPORTED)
 
 
@@ -220,7 +205,6 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
-    """Yield the polygon with these rings, or nothing if they are null or empty."""
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []

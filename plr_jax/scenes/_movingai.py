@@ -17,19 +17,13 @@ _SCEN_COLUMNS = 9
 
 
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
-    """Read a Moving AI ``.map`` grid as a polygonal workspace.
+    """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
     The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, so integer points are cell
     corners. ``y`` grows downward as in the file; a picture with ``y`` up shows the map upside down. Free space is the
     closed union of the passable cells: ``.`` and ``G`` (ground) and ``S`` (swamp, at no extra cost). All other
-    letters are obstacles.
-
-    Args:
-        path: The ``.map`` file.
-        squeeze: Whether a path may pass between two blocked cells that touch in one corner.
-
-    Returns:
-        The workspace; its bounds are the bounding box of the free cells.
+    letters are obstacles. ``squeeze`` says whether a path may pass between two blocked cells that touch in one
+    corner.
 
     Raises:
         ValueError: If the file is not a Moving AI map, its rows do not match its header, or no cell is passable.
@@ -95,14 +89,7 @@ class Scenario:
 
 
 def read_scen(path: str | os.PathLike[str]) -> Scenario:
-    """Read the queries of a Moving AI ``.scen`` file.
-
-    Raises:
-        ValueError: If the file is not a Moving AI scenario or has no queries, or a line is malformed.
-
-    References:
-        https://movingai.com/benchmarks/formats.html.
-    """
+    """Read the queries of a Moving AI ``.scen`` file; ``ValueError`` if it is invalid or has no queries."""
     path = Path(path)
     with errors_named(path):
         lines = text_of(path).splitlines()

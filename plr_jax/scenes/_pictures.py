@@ -52,25 +52,22 @@ def read_image(
     """Read a picture of a map, such as a scanned floor plan, as a workspace.
 
     Light pixels are free. Lightness is the mean of a pixel's color channels, 0 for black and 1 for white. Transparent
-    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``.
+    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``. The
+    bounds of the workspace are the bounding box of the free pixels.
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
             most 16,777,216 pixels, or 12,582,912 in color; above 4,194,304 at most 4,096 per byte of the file.
-        resolution: Side of a pixel, in workspace units; this and the other arguments are as for
-            :meth:`Workspace.from_mask`.
+        resolution: Side of a pixel, in workspace units.
         origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
-        tolerance: Tolerance of the outline, in pixels.
+        tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
         drop_specks: Components of at most this many pixels are dropped.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
-    Returns:
-        The workspace; its bounds are the bounding box of the free pixels.
-
     Raises:
-        ValueError: If the file is not such a picture, is damaged or too large, nothing is free, or an argument is out
-            of range.
+        ValueError: If the file is not such a picture, is damaged or too large, nothing is free, or an argument is
+            invalid.
     """
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
@@ -166,7 +163,6 @@ class Band(NamedTuple):
 
 
 def bands(picture: "Image") -> Iterator[Band]:
-    """Yield a picture from the top in bands of rows, to bound the memory."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -200,18 +196,19 @@ def read_map_server(
     drop_specks: int = 0,
     squeeze: bool = False,
 ) -> Workspace:
-    """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in the frame of the map.
+    """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in meters.
 
     The occupancy of a pixel is ``1 - lightness``, or its lightness if ``negate`` is set. A pixel is free below
     ``free_thresh``, occupied above ``occupied_thresh``, and unknown between. The mode decides about transparency:
 
     - ``trinary``: in a picture with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS
       and in Nav2 up to Jazzy.
-    - ``scale``: pixels that are not opaque are unknown.
+    - ``scale``: pixels that are not opaque are unknown. (:func:`read_cost_map` reads costs between the thresholds.)
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel. The map is rotated about it by
-    ``yaw`` radians counterclockwise.
+    ``yaw`` radians counterclockwise. The workspace is in the frame of the map; its bounds are the bounding box of the
+    free pixels.
 
     Args:
         path: The ``.yaml`` file. Its ``image`` is relative to its folder. Defaults are ``negate`` 0,
@@ -220,10 +217,6 @@ def read_map_server(
         tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
         drop_specks: Components of at most this many pixels are dropped.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
-
-    Returns:
-        The workspace, in meters; its bounds are the bounding box of the free pixels. It has no costs: pixels between
-        the thresholds are unknown even in mode ``scale``, where :func:`read_cost_map` reads costs.
 
     Raises:
         ValueError: If the file is not such a map, its picture is damaged or too large, or nothing is free.
@@ -249,7 +242,7 @@ def read_cost_map(
 ) -> RasterCost:
     """Read a map of ROS's ``map_server``, or a TIFF of cost factors, as a cost map in the frame of the map.
 
-    Pixels of ``map_server`` become values of an occupancy grid, by mode:
+    Pixels of a ``.yaml`` map, in meters and without rotation, become values of an occupancy grid, by mode:
 
     - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
     - ``scale``: the same, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels that
@@ -257,32 +250,20 @@ def read_cost_map(
     - ``raw``: the percentages themselves, without thresholds.
 
     Occupied cells are blocked. If a map has no other costs, ``read_cost_map(path).inflated(inscribed_radius)`` gives
-    a robot's usual cost map.
+    a robot's usual cost map. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
-    Pixels of a TIFF of 32-bit floats are the factors themselves: costs per unit of length. A cell is blocked where
-    the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF lies where its tags say, in its own units. In other
-    TIFFs a pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
-
-    Args:
-        path: The ``.yaml`` file of a map without rotation, as for :func:`read_map_server`, or a ``.tif`` or ``.tiff``
-            file with one channel of floats.
-        cost_travel_multiplier: As for :meth:`RasterCost.from_occupancy_grid`; not for a TIFF.
-        unknown_is_free: Whether unknown cells may be passed at the highest cost; otherwise they are blocked. Not for
-            a TIFF.
-        interpolation: As for :class:`RasterCost`.
-
-    Returns:
-        The cost map of all pixels, in meters or in the units of the GeoTIFF.
+    Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats are the factors themselves: costs per
+    unit of length. A cell is blocked where the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF (OGC
+    standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel is a square of side 1, and
+    the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
 
     Warns:
-        UserWarning: If the coordinates of a GeoTIFF are degrees, in which lengths then are.
-
-    References:
-        https://docs.nav2.org/configuration/packages/configuring-map-server.html; OGC GeoTIFF Standard 1.1, 2019.
+        UserWarning: If the coordinates of a GeoTIFF are degrees, so that lengths are in degrees.
     """
     path = Path(path)
     with errors_named(path):
@@ -350,8 +331,6 @@ def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any
 
 @dataclass(frozen=True, eq=False)
 class _MapServer:
-    """The content of the YAML file of a ``map_server`` map."""
-
     image: Path
     resolution: float
     origin: Float[np.ndarray, "3"]

@@ -1,7 +1,4 @@
-"""The published scenes on which the experiments are run, and perturbed variants of any problem.
-
-Scenes with many vertices or robots are scene files in the folder ``published``.
-"""
+"""The published scenes of the experiments, some of them files in the folder ``published``, and perturbed variants."""
 
 import math
 from collections.abc import Sequence
@@ -23,14 +20,8 @@ _ATTEMPTS = 1000
 def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
-    Args:
-        problem: The problem.
-        seed: Seed of the random generator.
-        distance: Largest displacement of a start or goal, in workspace units. Headings turn by at most as much as
-            moves the robot's farthest corner that far.
-
-    Raises:
-        ValueError: If an argument is out of range, or no free variant is found.
+    Positions move by at most ``distance`` in workspace units; headings turn by at most as much as moves the robot's
+    farthest corner that far. ``ValueError`` is raised if an argument is out of range or no free variant is found.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)
@@ -98,7 +89,6 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    """Sample positions in a square one by one, each clear of the walls and of earlier positions."""
     places, margin = np.empty((num_robots, 2)), _RADIUS + _CLEAR
     placed = 0
     for _ in range(_MOST_TRIALS):
@@ -144,10 +134,10 @@ def thin_maze() -> Problem:
 
 
 def floor_plan() -> Problem:
-    """A point robot on a furnished office floor, 24 m x 15 m, from the lounge to the kitchen.
+    """A point robot on a furnished office floor, 24 m x 15 m, from the lounge (23.2, 11.6) to the kitchen (1.2, 1.2).
 
     There are eleven rooms along a hallway and a lobby, walls 0.16 m thick, doors 0.8 to 1.4 m wide, more than 200
-    corners and several loops. The start is (23.2, 11.6), the goal (1.2, 1.2).
+    corners and several loops.
     """
     return load(_FOLDER / "floor_plan.json")
 

@@ -42,9 +42,9 @@ def read_volume(
             ``.npy``: an array of one to four axes and at most 268,435,456 voxels: booleans or integers, 0 for blocked
             and 1 for free. No pickles.
 
-            ``.3dmap``: voxels of the Moving AI benchmarks. The first line is ``voxel nx ny nz``; each other line has
-            the indices ``x y z`` of a blocked voxel. At most 32 MiB and 268,435,456 voxels, but above 16,777,216
-            voxels at most 256 per byte of the file.
+            ``.3dmap``: voxels of the Moving AI benchmarks (Brewer and Sturtevant, SoCS 2018). The first line is
+            ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and
+            268,435,456 voxels, but above 16,777,216 voxels at most 256 per byte of the file.
 
             ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, convex or not, text or binary; at most 64 MiB and
             16,777,216 voxels. A voxel is blocked if the surface meets the closed voxel, up to a millionth of a voxel.
@@ -60,9 +60,6 @@ def read_volume(
     Raises:
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is out
             of range or not for this kind of file.
-
-    References:
-        D. Brewer and N. Sturtevant, "Benchmarks for pathfinding in 3D voxel space", SoCS 2018.
     """
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
@@ -99,9 +96,7 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
     if not 1 <= values.ndim <= _MOST_RANK or not 0 < values.size <= _MOST_VOXELS:
         expected = f"one to {_MOST_RANK} axes and one to {_MOST_VOXELS:,} voxels"
         raise ValueError(f"expected {expected}, got shape {shortened(values.shape)}.")
-    numbers = (
-        values.view(np.uint8) if values.dtype == bool else values
-    )  # bytes of a boolean array may be neither 0 nor 1
+    numbers = values.view(np.uint8) if values.dtype == bool else values  # its bytes may be neither 0 nor 1
     if values.dtype.kind not in "biu" or numbers.min() < 0 or numbers.max() > 1:
         raise ValueError(f"expected booleans, or integers 0 and 1, got other values or type, {values.dtype}.")
     return np.array(numbers, dtype=bool, order="C")

@@ -19,15 +19,12 @@ _ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
     """Read a workspace from a file of any supported format, chosen by the file's ending and content.
 
-    Args:
-        path: A picture (:func:`read_image`); a map of ``map_server``, ``.yaml`` (:func:`read_map_server`); GeoJSON,
-            ``.json`` or ``.geojson`` (:func:`read_geojson`); well-known text, ``.wkt`` (:func:`read_wkt`); a Moving
-            AI grid, ``.map`` (:func:`read_map`); polygons with holes, ``.json`` (:func:`read_polygons`); a scene,
-            ``.json`` (:func:`load`).
-        **options: Keyword arguments of that reader.
+    - picture, such as ``.png``: :func:`read_image`; map of ``map_server``, ``.yaml``: :func:`read_map_server`
+    - GeoJSON, ``.json`` or ``.geojson``: :func:`read_geojson`; well-known text, ``.wkt``: :func:`read_wkt`
+    - Moving AI grid, ``.map``: :func:`read_map`; polygons with holes, ``.json``: :func:`read_polygons`
+    - scene, ``.json``: :func:`load`
 
-    Raises:
-        ValueError: If the format is not supported, the file is damaged, or the reader has no such option.
+    Options are those of the reader. A file or an option that is not supported raises ``ValueError``.
     """
     path = Path(path)
     reader = reader_of(path)
@@ -40,7 +37,6 @@ def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
 
 
 def options_of(reader: Callable[..., Workspace]) -> list[str]:
-    """Return the names of a reader's keyword arguments."""
     return list(inspect.signature(reader).parameters)[1:]
 
 

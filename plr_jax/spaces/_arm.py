@@ -39,13 +39,12 @@ class PlanarArm:
     Args:
         workspace: The Workspace.
         lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
-        base: Position of the first joint, ``(2,)``.
+        base: Position of the first joint, ``(2,)``, with a clearance of at least half the width.
         width: Width of the links, at least 0: a link covers all points within half of it of a segment.
         self_collision: Whether links that are not neighbors must not overlap; needs a positive width.
 
     Raises:
-        ValueError: If a length is not positive and finite, the width is negative or not finite, the base is not a
-            point with enough clearance, or ``self_collision`` is set with width 0.
+        ValueError: If an argument is out of its range.
     """
 
     workspace: Workspace
@@ -97,11 +96,7 @@ class PlanarArm:
         return MotionCost(((tuple(range(self.dof)), 1.0),))
 
     def forward(self, q: ArrayLike) -> Ends:
-        """Return the positions of the joints, base first, and of the arm's tip, ``(n, joints + 1, 2)``.
-
-        Args:
-            q: Joint angles, ``(n, joints)``, in radians.
-        """
+        """Return the positions of the joints, base first, and of the arm's tip, ``(n, joints + 1, 2)``."""
         heading = np.cumsum(as_points("q", q, self.dof), axis=1)
         links = self.lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=2)
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)

@@ -16,9 +16,8 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, p
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 10
 _ROUNDING = 16.0  # units in the last place by which a clearance may be off
-_LIPSCHITZ_SLACK = (
-    1 + 1e-6
-)  # clearances that differ by more than this factor times the bound contradict the constants
+# Clearances contradict the constants only if they differ by more than this factor times the bound.
+_LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
@@ -47,15 +46,11 @@ class ClearanceSpace:
             domain, with batches of varying size. If the distance is 0 inside obstacles, subtract a margin; without
             depth, no box is proven blocked.
         lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one number for
-            all axes.
+            all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
 
-    Attributes:
-        lipschitz: Constants of the axes, ``(dof,)``.
-
     Raises:
-        ValueError: If the domain is not a box, the clearance is not a function, a constant is negative or not finite,
-            or numbers of axes do not match.
+        ValueError: If an argument has the wrong type, sign or number of axes.
 
     Example:
         A ball of radius 0.2 among spheres::
@@ -99,10 +94,7 @@ class ClearanceSpace:
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether configurations ``(n, dof)`` are in the domain and have a clearance of at least 0.
-
-        A clearance that is not finite raises ``ValueError``, here and in the other methods.
-        """
+        """Return whether configurations are in the domain with a clearance of at least 0, which must be finite."""
         q = as_points("q", q, self.domain.dim)
         free = self.domain.contains(q)
         free[free] = self._clearances(q[free]) >= 0
@@ -124,10 +116,7 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of configurations as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
-
-        Clearances that contradict ``lipschitz`` raise ``ValueError``.
-        """
+        """Classify boxes of configurations; ``ValueError`` if clearances contradict ``lipschitz``."""
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
@@ -156,11 +145,7 @@ class ClearanceSpace:
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until every interval is proven free or too short.
-
-        Within an interval with clearances ``a`` and ``b`` at its ends, the clearance is at least ``(a + b - reach) /
-        2``.
-        """
+        """Bisect motions until every interval is proven free or too short."""
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
         free = (before >= 0) & (after >= 0)
@@ -169,6 +154,7 @@ class ClearanceSpace:
         least = np.maximum(2.0**-_MOST_BISECTIONS * reach, rounding)
         owner, at, width = np.arange(len(q0)), np.zeros(len(q0)), 1.0
         for bisections in range(_MOST_BISECTIONS + 1):
+            # Within an interval, the clearance is at least (before + after - reach) / 2.
             unsure = free[owner] & (before + after - width * reach[owner] < 2 * rounding[owner])
             owner, at, before, after = owner[unsure], at[unsure], before[unsure], after[unsure]
             if not len(owner) or bisections == _MOST_BISECTIONS:
@@ -184,7 +170,6 @@ class ClearanceSpace:
         return free
 
     def _clipped(self, q: Configurations) -> Configurations:
-        """Return the nearest configurations in the domain; periodic axes stay as they are."""
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:

@@ -45,10 +45,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return a positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
-
-        Boxes may leave the domain around periodic axes.
-        """
+        """Return positive lower and finite upper bounds of the factor over boxes, which may cross periodic axes."""
         ...
 
 
@@ -86,7 +83,8 @@ class DirectionalCost(CostMap, Protocol):
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
         ``|dq|``. The bounds of the cost map replace them where costs vary too much: where ``least`` is at most a
-        quarter of ``most``, or exceeds the shortest vector between ``a`` and ``b`` by less than 2 % of ``most``.
+        quarter of ``most``, or exceeds the distance of the segment from ``a`` to ``b`` from 0 by at most 2 % of
+        ``most``.
         """
         ...
 
@@ -103,9 +101,6 @@ class LipschitzCost:
         cost_fn: The factor at configurations ``(n, dof)``, positive; a cost per unit of length.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
         least: Positive lower bound of the factor everywhere, for boxes so large that the constant says nothing.
-
-    Raises:
-        ValueError: If an argument has the wrong type or is out of range.
     """
 
     cost_fn: Callable[[np.ndarray], ArrayLike]
@@ -119,11 +114,7 @@ class LipschitzCost:
         object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at configurations ``(n, dof)``.
-
-        Raises:
-            ValueError: If the function returns another shape, or a number that is not finite or below ``least``.
-        """
+        """Return the factor at configurations ``(n, dof)``; ``ValueError`` if it is not finite or below ``least``."""
         return self._factors(np.asarray(q, np.float64))[0]
 
     def _factors(self, q: Vectors) -> tuple[Rates, float]:
@@ -146,8 +137,8 @@ class LipschitzCost:
 def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
     """Return lower and upper bounds of the factor over boxes, and pulls, ``(2, n, dof)``, if there are any.
 
-    A motion ``dq`` costs ``|dq|`` times a factor within the bounds, plus the larger scalar product of a pull with
-    ``dq``. An invalid answer of the cost map raises ``ValueError``.
+    A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of a
+    pull with ``dq``. An invalid answer of the cost map raises ``ValueError``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:

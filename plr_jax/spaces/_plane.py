@@ -33,8 +33,8 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
     """Return whether each segment certainly crosses a wall while its ends move by ``reaches``, the second larger.
 
-    The ends stay on opposite sides of the wall's line, so the segment crosses the line. It does so within the wall:
-    both ends of the wall are farther from the segment than any of its points can move.
+    The ends stay on opposite sides of the wall's line, and both ends of the wall are farther from the segment than
+    any of its points can move.
     """
     boundary = workspace.boundary
     link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
@@ -72,9 +72,8 @@ def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     return near
 
 
-_SLIVER = (
-    0.01  # share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
-)
+# Share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
+_SLIVER = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,7 @@ class BodySpace:
     def is_free(self, q: ArrayLike) -> Booleans:
         """Return whether positions ``(n, 2)``, or positions and headings ``(n, 3)`` in radians, are free.
 
-        That is where the robot overlaps neither obstacles nor the outside of the bounds, up to
-        ``workspace.tolerance``. It is False for configurations that are not finite.
+        The robot may overlap obstacles and the outside of the bounds by ``workspace.tolerance`` at most.
         """
         q = as_points("q", q, self.robot.dof)
         return self.are_free(q, q)
@@ -112,16 +110,10 @@ class BodySpace:
 class PlaneSpace(BodySpace):
     """Positions of a point or disc in a workspace; the cost of a motion is its length.
 
-    A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
+    The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
+    ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
     ``workspace.tolerance``. Boxes are classified exactly, except for discs near corners: boxes up to 0.5 % of the
     radius inside the inflated obstacle may be MIXED instead of BLOCKED.
-
-    Args:
-        workspace: The Workspace.
-        robot: A PointRobot or a DiscRobot.
-
-    Raises:
-        ValueError: If an argument has the wrong type, or the robot fits nowhere.
     """
 
     robot: Robot = field(default_factory=PointRobot)
@@ -147,8 +139,8 @@ class PlaneSpace(BodySpace):
         """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
 
         A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
-        close touch. A box that touches a contact, a point where obstacles touch, is not FREE, since no path passes
-        through it.
+        close touch. A box that touches a point where obstacles touch is not FREE, since no path passes through that
+        point.
         """
         center, half = as_boxes(lo, hi, 2)
         # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.
@@ -202,16 +194,12 @@ class PlaneSpace(BodySpace):
 
     @cached_property
     def _passable(self) -> Any:
-        """The free positions, prepared for many queries.
-
-        Obstacles are inflated by less than the radius, so that passages exactly as wide as a disc stay open.
-        """
+        # Inflate by less than the radius, so that passages exactly as wide as a disc stay open.
         passable = self.workspace.inflate(max(0.0, self.robot.rounding - self.workspace.tolerance)).free_space
         shapely.prepare(passable)
         return passable
 
 
 def _shrunk(center: Positions, half: Positions, margin: float) -> Any:
-    """Return boxes as Shapely polygons, shrunk by a margin on each side, but at most to half their width."""
     half = np.maximum(half - margin, half / 2)
     return shapely.box(*(center - half).T, *(center + half).T)

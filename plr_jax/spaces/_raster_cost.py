@@ -75,10 +75,6 @@ class RasterCost:
             half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
             bounds are wider, because a box that touches a border counts the cells on both sides.
 
-    Attributes:
-        values: The factors, ``inf`` where blocked; read-only.
-        domain: The bounds as a Box.
-
     Raises:
         ValueError: If values are out of range or all blocked, the bounds are not a box with one dimension per raster
             axis, or the interpolation is unknown.
@@ -123,22 +119,13 @@ class RasterCost:
         unknown_is_free: bool = False,
         interpolation: str = "bilinear",
     ) -> "RasterCost":
-        """Convert a robot's cost map, the bytes of ROS's ``costmap_2d``.
+        """Convert a robot's cost map: the bytes of ROS's ``costmap_2d``, row 0 at the lowest ``y``.
 
         A cost from 0 to 252 becomes the factor ``1 + cost_travel_multiplier * cost / 252``, as in Nav2's planner Smac
         2D. A multiplier of 4.03 reproduces NavFn, which uses ``(50 + 0.8 * cost) / 50``. Cells with cost 253 (within
-        the robot's inscribed radius of an obstacle) and 254 (lethal) are blocked.
-
-        Args:
-            values: Costs from 0 to 255, row 0 at the lowest ``y``, as in ROS messages.
-            bounds: As for the class.
-            cost_travel_multiplier: Extra factor of the highest cost, 252, at least 0.
-            unknown_is_free: Whether unknown cells, 255, get the factor of cost 252, as in NavFn; otherwise they are
-                blocked.
-            interpolation: As for the class.
-
-        Raises:
-            ValueError: If a value is not from 0 to 255, or as for the class.
+        the robot's inscribed radius of an obstacle) and 254 (lethal) are blocked. Unknown cells, 255, are blocked
+        too, unless ``unknown_is_free``: then they get the factor of cost 252, as in NavFn. Other arguments and errors
+        are as for the class.
         """
         multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; for an OccupancyGrid use from_occupancy_grid")
@@ -160,13 +147,10 @@ class RasterCost:
         unknown_is_free: bool = False,
         interpolation: str = "bilinear",
     ) -> "RasterCost":
-        """Convert a robot's cost map as ROS publishes it: an ``OccupancyGrid``.
+        """Convert a robot's cost map as ROS publishes it: an ``OccupancyGrid``, row 0 at the lowest ``y``.
 
-        All arguments except the values are as for :meth:`from_costmap`. The values are -1 for unknown, 0 for free, 1
-        to 98 for costs from 1 to 252, 99 for inscribed, and 100 for lethal; row 0 is at the lowest ``y``.
-
-        Raises:
-            ValueError: If a value is not from -1 to 100, or as for the class.
+        The values are -1 for unknown, 0 for free, 1 to 98 for costs from 1 to 252, 99 for inscribed, and 100 for
+        lethal. Other arguments and errors are as for :meth:`from_costmap`.
         """
         grid = _in_range(
             values,
@@ -197,7 +181,8 @@ class RasterCost:
         """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
-        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated.
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. See
+        https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
 
         A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even if
         ``inflation_radius`` is smaller. So :meth:`space` for a point is the space of the robot. Up to
@@ -211,12 +196,6 @@ class RasterCost:
                 (using the shortest side if cells are not cubes).
             cost_scaling_factor: Rate of the exponential decay, per unit of distance.
             cost_travel_multiplier: As for :meth:`from_costmap`.
-
-        Raises:
-            ValueError: If a number is negative or not finite, or all cells become blocked.
-
-        References:
-            https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
         reach = as_finite("inflation_radius", inflation_radius)
@@ -258,10 +237,7 @@ class RasterCost:
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at each configuration, ``(n,)``; NaN where one of the leading coordinates is not finite.
-
-        Configurations, ``(n, dof)``, have at least as many coordinates as the raster has axes.
-        """
+        """Return the factor at configurations, ``(n,)``; NaN where a leading coordinate is not finite."""
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -294,15 +270,13 @@ class RasterCost:
             step = max(1, _POINTS_PER_BATCH // (count + 1) ** self.dim)
             for begin in range(0, len(few), step):
                 part = few[begin : begin + step]
+                # The factor is multilinear on each piece, so its extremes are at corners of pieces.
                 factors = self._patch_corner_factors(first[part], last[part], count)
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
     def _patch_corner_factors(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
-        """Evaluate the factor at the corners of the pieces into which cell centers cut each box.
-
-        The factor is multilinear on each piece, so its extremes over the box are among these values.
-        """
+        """Evaluate the factor at all corners of the pieces into which cell centers cut each box."""
         lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
         which = np.array(list(product(range(count + 1), repeat=self.dim)))
         coords = lines[:, which, np.arange(self.dim)]
@@ -339,10 +313,7 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Convert boxes to cell coordinates, enlarged by the possible rounding error of any point in them.
-
-        Along periodic axes, boxes are shifted to start in the first period and are at most one period long.
-        """
+        """Convert boxes to cell coordinates, enlarged by rounding errors and moved to the first period."""
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
@@ -402,23 +373,18 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """A table of the smallest and largest entries of an array's windows, to look up the extremes of any block.
+    """Smallest and largest entries of an array's windows, to look up the extremes of any block (a sparse table).
 
     For every position and every power of two, it stores the extremes of the window of that side that begins there, as
     float32 rounded outward. A block about as wide along every axis is covered by two windows per axis; an elongated
-    block needs more. Along axes shorter than a window, the window spans the axis.
-
-    References:
-        Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    block needs more. Along axes shorter than a window, the window spans the axis. See Bender and Farach-Colton, "The
+    LCA problem revisited", 2000.
     """
 
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the smallest and largest entry of each block, rounded outward if float32 cannot represent them.
-
-        ``first`` and ``last`` are the first and last index of each block along each axis, both inclusive.
-        """
+        """Return the extremes of blocks, given their first and last indices, rounded outward to float32."""
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)

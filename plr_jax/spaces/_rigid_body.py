@@ -32,17 +32,9 @@ class RigidBodySpace(BodySpace):
 
     A configuration is free if the body overlaps neither obstacles nor the outside of the bounds, up to
     ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative, and tighter
-    for smaller boxes.
-
-    Args:
-        workspace: The Workspace.
-        robot: A robot with a heading, such as a RectangleRobot or a PolygonRobot.
-        rotation_weight: Cost of a turn by one radian, in workspace units, positive. None: the robot's circumscribed
-            radius, as for a Problem.
-
-    Raises:
-        ValueError: If the workspace has the wrong type, the robot has no heading, or the weight is not positive and
-            finite.
+    for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot; others raise
+    ``ValueError``. A turn by one radian costs ``rotation_weight``, in workspace units, by default the circumscribed
+    radius.
     """
 
     rotation_weight: float | int | None = None

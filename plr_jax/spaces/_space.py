@@ -33,16 +33,10 @@ class CellState(IntEnum):
 class MotionCost:
     """The cost of a motion: an infinitesimal motion ``dq`` costs the sum over blocks of ``weight * |dq[axes]|``.
 
-    Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of a rigid body is ``(((0, 1), 1.0),
-    ((2,), rotation_weight))``. This is a norm, the same at every configuration. So an unobstructed straight motion is
-    optimal, and a motion costs the same in reverse: time cannot be an axis.
-
-    Args:
-        blocks: Pairs ``(axes, weight)``: a motion of length 1 within these axes costs ``weight``. Every axis is in
-            one block.
-
-    Raises:
-        ValueError: If an axis is in no block or in several, or a weight is not positive and finite.
+    Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
+    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
+    an unobstructed straight motion is optimal, and a motion costs the same in reverse: time cannot be an axis. Every
+    axis must be in exactly one block, and weights must be positive and finite, otherwise ``ValueError`` is raised.
     """
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]
@@ -78,13 +72,8 @@ class MotionCost:
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
         """Return the costs of straight motions, ``(n,)``; NaN where a configuration is not finite.
 
-        Args:
-            q0: Start configurations, ``(n, dof)``.
-            q1: End configurations, ``(n, dof)``.
-            domain: The box whose periodic axes motions cross the short way. Obstacles are ignored.
-
-        Raises:
-            ValueError: If shapes are wrong or differ, or the domain has another dimension.
+        Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
+        obstacles. Wrong shapes, or a domain of another dimension, raise ``ValueError``.
         """
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of {self.dof} axes, got {domain}.")

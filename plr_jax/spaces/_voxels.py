@@ -32,18 +32,14 @@ class VoxelSpace:
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
-        bounds: The box that the voxels fill, or its corners ``(lo, hi)``: outer faces, not voxel centers. Voxels need
-            not be cubes. None: unit voxels, the first with its corner at 0.
-        radius: Radius of the ball, in units of the bounds; 0 for a point.
-
-    Attributes:
-        grid: The voxels.
-        radius: As given.
+        bounds: The box that the voxels fill, or its corners ``(lo, hi)``: outer faces, not voxel centers; no axis may
+            be periodic. Voxels need not be cubes. None: unit voxels, the first with its corner at 0.
+        radius: Radius of the ball, in units of the bounds: 0 for a point, else from a thousand tolerances to half the
+            narrowest width of the bounds.
 
     Raises:
-        ValueError: If ``free`` is not such an array or has no free voxel; the bounds have another dimension, periodic
-            axes, or voxels too small for the precision of coordinates; or the radius is negative, not finite, above 0
-            but below a thousand tolerances, or above half the narrowest width of the bounds.
+        ValueError: If an argument is invalid, no voxel is free, or voxels are too small for the precision of
+            coordinates.
     """
 
     grid: VoxelGrid
@@ -88,10 +84,7 @@ class VoxelSpace:
         return rounding_of(self.domain)
 
     def is_free(self, q: ArrayLike) -> Booleans:
-        """Return whether positions ``(n, dim)`` of the point or the ball's center are free; False if not finite.
-
-        A point is free if a closed free voxel contains it.
-        """
+        """Return whether positions are free; a point is free if a closed free voxel contains it."""
         q = as_points("q", q, self.grid.dim)
         free = np.isfinite(q).all(axis=1)
         x = q[free].T
