@@ -75,7 +75,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven bounds of distance minus answer, in one column, or one a leaf (padded); None without proof."""
+        """Proven bounds of distance minus answer, in one column, or one per leaf (padded); None without proof."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -283,10 +283,10 @@ class PLR(FileBacked):
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
-        """Combine one PLR for each robot of a team, which evaluates a batch of joint configurations in one call.
+        """Combine one PLR per robot of a team into a function of joint configurations, compiled as one.
 
         Args:
-            plrs: One PLR a robot; they may differ in size, dimension and leaf model.
+            plrs: One PLR per robot; they may differ in size, dimension and leaf model.
 
         Returns:
             A function that maps joint configurations ``(n, robots, dof)``, NumPy, to distances ``(n, robots)``,

@@ -45,12 +45,12 @@ from plr_jax.plr.tree import Cells
 
 _FIRST_BITS = 10  # index bits of first pages: those of a thousand PLRs take 4 MB, and most points need no other
 _PAGE_BITS = 6  # most index bits of other pages
-_MOST_ENTRIES = 2**25  # most entries of one PLR, by an upper bound that counts shared pages once a leaf
+_MOST_ENTRIES = 2**25  # most entries of one PLR, by an upper bound that counts shared pages for each leaf
 _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Return the fraction bits along each axis that all levels up to each one consume, from none to all."""
+    """Return the fraction bits per axis that are consumed at the end of each level, beginning with zeros."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]

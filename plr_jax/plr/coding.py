@@ -10,7 +10,7 @@ _BITS, _MOST_BYTES = 7, 10  # payload bits of a varint's byte; most bytes of a v
 
 
 def varint(value: int) -> bytes:
-    """Encode an integer >= 0 as LEB128: seven bits a byte, lowest first, the high bit set if more bytes follow."""
+    """Encode an integer >= 0 as LEB128: seven bits per byte, lowest first, the high bit set if more bytes follow."""
     more, last = [], value
     while last >> _BITS:
         more.append(1 << _BITS | last & (1 << _BITS) - 1)
@@ -209,7 +209,7 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append a tree, level by level from the root: one bit a node (is it split?), then the axis of each split node.
+    """Append a tree, level by level from the root: one bit per node (is it split?), then the axis of each split node.
 
     An axis takes ``ceil(log2(dim))`` bits.
     """

@@ -215,7 +215,7 @@ def folding_to_bytes(folding: Folding) -> bytes:
     u8      1 if the folded axes are rotated, else 0
     f64     the axes row by row, if they are rotated
     u8      number of mirrors
-    u8      for each mirror, one byte an axis: 1 if it reverses the axis; then zeros, one an axis
+    u8      for each mirror, one byte per axis: 1 if it reverses the axis; then a zero per axis
     """
     marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
@@ -260,7 +260,7 @@ _EXACT = Context(prec=40, traps=[])  # overrides the caller's context; coordinat
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
-    """Encode a domain as decimals, or as floats if that is shorter or exact only so; return whether floats were used.
+    """Encode a domain as decimals, or as floats if decimals are longer or inexact; return whether floats were used.
 
         decimals  u8   number of decimals ``d``; then signed varints, each a coordinate times ``10**d``
         floats    f64  the coordinates, little-endian

@@ -23,7 +23,7 @@ class Folding:
 
     Attributes:
         center: New origin of coordinates; all mirrors pass through it.
-        axes: Orthogonal matrix, one folded coordinate a row; rows of periodic axes are unit vectors.
+        axes: Orthogonal matrix, one folded coordinate per row; rows of periodic axes are unit vectors.
         mirrors: For each mirror, whether it changes the sign of each coordinate.
     """
 

@@ -67,7 +67,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for an array that differs from point to point: indexed down to scalars, it gives one value a point.
+    """A stand-in for an array that differs from point to point: a scalar index gives one value per point.
 
     Each point's array has the same ``shape`` and begins at ``start`` in ``flat``; values are cast to ``dtype`` when
     read.
@@ -104,7 +104,7 @@ class FoldedDomain:
 
     Attributes:
         center, corners: See :func:`folding_numbers`.
-        axes: Folded axes, one a row; None if they are the domain's.
+        axes: Folded axes, one per row; None if they are the domain's.
         mirrors: Pivot and reversed axes of each mirror.
     """
 
@@ -129,7 +129,7 @@ class Blocks:
     """The coarse level of a two-level table.
 
     A block's *word* holds, from its lowest bit, the bits that the block's own table resolves along each axis,
-    ``width`` bits an axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather,
+    ``width`` bits per axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather,
     the main cost of a query. Axes that do not fit into the first word come in further words.
 
     Attributes:
@@ -323,13 +323,13 @@ class Tables:
     Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
 
     Attributes:
-        frame: Domain in 32-bit floats, one row a quantity; see :class:`Frame`.
+        frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
         bits: For each axis, a mask of the fraction bits that make the slot (flat table) or the block, and their right
             shift in the index.
         blocks, pages: Coarse level of a two-level table; both are None for a flat table.
         leaf_parameters: Numbers that the leaf model evaluates, for each leaf or, with pages, for each slot. Small
-            tables have a row a number, which takes the least arithmetic. Large ones concatenate each leaf's numbers,
-            which needs fewer cache lines.
+            tables have one row per number, which takes the least arithmetic; large ones concatenate each leaf's
+            numbers, which takes fewer cache lines.
         trie: Replaces all lookup tables in stacks of many PLRs.
         unresolved: Float types that are too coarse for the domain; see :func:`unresolved_types`.
     """

@@ -107,7 +107,7 @@ def grown_domain(domain: Box) -> Box:
     return Box(lo[0], hi[0])
 
 
-MAX_DEPTH = 60  # a leaf's path from the root, one bit a split, fits a 64-bit integer
+MAX_DEPTH = 60  # a leaf's path from the root, one bit per split, fits a 64-bit integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,5 +199,5 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of a cell in standard order, one a row: 0 for the lower end of an axis, 1 for the upper."""
+    """Return the corners of a cell in standard order, one per row; 0 is the lower end of an axis, 1 the upper."""
     return np.array(list(product((0, 1), repeat=dim)))

@@ -1,6 +1,6 @@
 """The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
 
-All functions take *operations* and lists of coordinates, one value an axis. With :class:`Operations`, values are
+All functions take *operations* and lists of coordinates, one value per axis. With :class:`Operations`, values are
 NumPy arrays or scalars and results are computed; with an emitter (``writers.py``), values are expressions and results
 are code.
 """
@@ -30,7 +30,7 @@ Value: TypeAlias = Any
 """A number, an array, or an expression."""
 
 Point: TypeAlias = list[Value]
-"""Coordinates of points, one value an axis."""
+"""Coordinates of points, one value per axis."""
 
 
 class Operations:

@@ -199,7 +199,7 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     return [
         comment,
         *js_function("function descend()", statements),
-        f"// For each cell of a grid of {1 << bits} an axis: its leaf's row plus one, or 0 if it has several leaves.",
+        f"// For each cell of a grid of {1 << bits} per axis: its leaf's row plus one, or 0 if it has several leaves.",
         "// A marker bit follows the bits of the position: if the descent shifts it out, there are several.",
         f"const grid = new Uint32Array({1 << bits * tree.dim});",
         "for (let index = 0; index < grid.length; index++) {",

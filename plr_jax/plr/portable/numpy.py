@@ -200,9 +200,9 @@ class NumpyPLR:
     rounded to 32 bits; in a domain far from the origin and around periodic axes, 64-bit points are placed before
     that.
 
-    A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds a point.
+    A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds per point.
     Waypoints, bounds, single points around periodic axes, and single points outside with ``outside`` other than
-    ``"inf"`` take 50 to 250 microseconds a call.
+    ``"inf"`` take 50 to 250 microseconds per call.
 
     Attributes:
         dim: Number of axes.
