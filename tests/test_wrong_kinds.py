@@ -84,7 +84,10 @@ def built(**options):
         (lambda: construct(lambda x: None, UNIT), r"must be real numbers of shape \(192,\), got None"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; for a path use load_numpy"),
-        (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, for a PLR call plr.numpy\(\)"),
+        (
+            lambda: NumpyPLR(built()),
+            r"data must be the bytes of a PLR file, got PLR\(.*, for a PLR call plr.numpy\(\)",
+        ),
         (lambda: PLR.stack(5), r"plrs must be a list of PLRs, got 5; for a single PLR pass \[plr\]"),
         (lambda: PLR.stack(built()), r"plrs must be a list of PLRs, got PLR\("),
         (lambda: PLR.stack([5]), "plrs must be a list of PLRs, got 5 at index 0"),

@@ -21,10 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The content of a PLR file: a tree, and the data that its leaf model stores, in traversal order.
-
-    The leaves partition ``domain``; if there is a folding, that is the box of folded points.
-    """
+    """The content of a PLR file: leaf data in traversal order, of a tree that partitions the (folded) domain."""
 
     domain: Box
     leaf: LeafModel

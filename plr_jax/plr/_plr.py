@@ -301,14 +301,10 @@ class PLR(FileBacked):
         return TableStack(tables, (None,) * len(plrs), placements)
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Evaluate the function of a given leaf at each point, also outside that leaf.
+        """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
 
-        Args:
-            leaf: Index of each point's leaf.
-            x: Points; along periodic axes, the image nearest to the leaf's center is used.
-
-        Returns:
-            Values in double precision, ``inf`` for leaves that answer ``inf``.
+        Along periodic axes, the image of a point nearest to the leaf's center is used. Values are ``inf`` for leaves
+        that answer ``inf``.
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
@@ -496,7 +492,6 @@ def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | No
 
 
 def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
-    """Return a copy of the PLR with another proof."""
     return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
 
 

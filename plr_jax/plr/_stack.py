@@ -61,10 +61,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build the trie of several partitions, given the row of each leaf's parameters.
-
-    Raises ``ValueError`` if a partition is too deep or the tables are too large.
-    """
+    """Build the trie of partitions, given each leaf's row; raises ``ValueError`` if it is too deep or large."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)

@@ -209,10 +209,7 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append a tree, level by level from the root: one bit per node (is it split?), then the axis of each split node.
-
-    An axis takes ``ceil(log2(dim))`` bits.
-    """
+    """Append a tree in level order: one bit per node (split?), then axes in ``ceil(log2(dim))`` bits each."""
     first, num_nodes = 0, 1
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)

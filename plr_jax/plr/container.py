@@ -79,7 +79,7 @@ class Header:
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """Offsets in bytes at which the file may be cut off: the ends of all layers but the last."""
+        """Offsets at which the file may be cut off: the ends of all layers but the last."""
         return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
 
     @staticmethod
@@ -131,7 +131,6 @@ class Container:
 
     @property
     def last(self) -> Layer:
-        """The last layer; a PLR has no other."""
         return self.layers[-1]
 
     @property
@@ -224,7 +223,6 @@ def folding_to_bytes(folding: Folding) -> bytes:
 
 
 def read_folding(reader: ByteReader, domain: Box) -> Folding:
-    """Decode a folding; raises ``ValueError`` if it is invalid."""
     dim = domain.dim
     center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
     axes = np.eye(dim)
@@ -274,7 +272,6 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
 
 
 def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
-    """Decode a domain; raises ``ValueError`` if it is invalid."""
     if is_floats:
         numbers = np.frombuffer(reader.take(16 * dim), "<f8").astype(np.float64)
     else:

@@ -45,10 +45,7 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return all overlapping pairs of leaf and block, with the leaf's first slot and number of slots in the block.
-
-    ``shape`` holds the bits of each block's own table along each axis.
-    """
+    """Return overlapping pairs of leaf and block, with the leaf's first slot and number of slots in the block."""
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -113,10 +110,7 @@ def slot_bits_of_rows(rows: int) -> int:
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis, for one size class or (None) for all.
-
-    Flat tables limit small classes in one and two dimensions; deep trees there may use the depth that pages address.
-    """
+    """Return how often a cell may be halved along one axis, in one size class or (None) in all."""
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -246,6 +240,5 @@ def folding_numbers(
 
 
 def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """Return each mirror's pivot and reversed axes."""
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return tuple(zip(folding.pivots, reversed_axes, strict=True))

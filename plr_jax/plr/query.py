@@ -84,10 +84,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Return the leaf of each point; near a border of cells, rounding may give the leaf on its other side.
-
-    Points outside the domain, and NaN, get an arbitrary leaf.
-    """
+    """Return the leaf of each point, up to rounding across borders; arbitrary outside the domain and for NaN."""
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)

@@ -188,8 +188,7 @@ def leaves_of_slots(
 ) -> UInt32[np.ndarray, "slots"]:
     """Return the leaf of every slot of all blocks' own tables.
 
-    Along the last axis a leaf covers consecutive slots. It is written at the first slot of each run and repeated up
-    to the start of the next run.
+    A leaf is written at the first slot of each of its runs along the last axis, and repeated up to the next run.
     """
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1

@@ -147,10 +147,7 @@ class Tree:
 
 
 def tree_of(cells: Cells) -> Tree:
-    """Build the tree whose leaves are the given cells, which may come in any order.
-
-    A node is split along the first axis along which all its leaves are narrower than the node.
-    """
+    """Build the tree of given leaves; nodes are split along the first axis on which all their leaves are narrower."""
     node = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)

@@ -28,14 +28,12 @@ _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
 def pack(cells: Mask) -> Words:
-    """Pack the rows of a grid into words."""
     h, w = cells.shape
     bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
     return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
 
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
-    """Unpack ``w`` columns of bits, each as 0 or 1."""
     bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
     return bits.reshape(len(words), -1)[:, :w]
 
@@ -61,8 +59,8 @@ def neighbors_of(words: Grids) -> Grids:
 def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
     """Return rows and columns of two free cells that hold each point, sides included, and whether one exists.
 
-    These are the first and the last of up to four such cells. If two free and two blocked cells meet at the point,
-    these are both free ones.
+    They are the first and last of up to four such cells: both, where two free and two blocked cells meet at the
+    point.
     """
     size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)

@@ -85,7 +85,10 @@ def test_indices_broadcast_and_others_give_nan():
         (lambda plr: stack([]), "at least one"),
         (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 3, 3))), r"shape \(n, 2, dof\), got \(5, 3, 3\)"),
         (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2))), r"shape \(n, 2, dof\), got \(5, 2\)"),
-        (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2, 1))), "The PLR of robot 0 needs 2 coordinates, got configurations of 1"),
+        (
+            lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2, 1))),
+            "The PLR of robot 0 needs 2 coordinates, got configurations of 1",
+        ),
     ],
 )
 def test_what_is_wrong_is_said(call, message):

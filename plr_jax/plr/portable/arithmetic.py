@@ -50,7 +50,6 @@ class Operations:
         return np.sqrt(x)
 
     def rounded(self, x: Value) -> Value:
-        """Round a value to 32 bits."""
         return x.astype(np.float32)
 
     def fraction(self, x: Value) -> Value:
@@ -175,7 +174,6 @@ class Program:
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
-        """Return the fraction bits along each axis."""
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
@@ -192,7 +190,6 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
-        """Return the source of a leaf with these parameters."""
         corner = self.frame[Frame.LO] if self.corner is None else self.corner
         return [lo + along for lo, along in zip(corner, as_sourced(self.leaf).source_of(numbers), strict=True)]
 

@@ -17,8 +17,6 @@ from plr_jax.plr.portable.writers import (
 
 
 class CEmitter(Emitter):
-    """An emitter of C99."""
-
     root_of, cast = "sqrtf({})", "(float)({})"
     definition = "const {type} {name} = {value};"
 

@@ -130,10 +130,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; the tree's leaves are rows of ``width`` numbers.
-
-    If ``is_proven``, the last two numbers of a row are added to values for lower and upper bounds.
-    """
+    """Generate the query functions; if ``is_proven``, the last two of ``width`` numbers in a row are a band."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -199,7 +196,7 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     return [
         comment,
         *js_function("function descend()", statements),
-        f"// For each cell of a grid of {1 << bits} per axis: its leaf's row plus one, or 0 if it has several leaves.",
+        f"// For each cell of a grid, {1 << bits} per axis: its leaf's row plus one, or 0 if it has several.",
         "// A marker bit follows the bits of the position: if the descent shifts it out, there are several.",
         f"const grid = new Uint32Array({1 << bits * tree.dim});",
         "for (let index = 0; index < grid.length; index++) {",

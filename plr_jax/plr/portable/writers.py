@@ -182,7 +182,6 @@ def write_lookup(
 
 
 def nan_condition(dim: int) -> str:
-    """Return the condition, in C and JavaScript, that a coordinate of ``x`` is NaN."""
     return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
 
 
