@@ -92,8 +92,8 @@ class BitWriter:
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the extra bits
-        beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
+        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the number of extra
+        bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
         """
         if not len(values):
             return self
@@ -209,7 +209,7 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append a tree in level order: one bit per node (split?), then axes in ``ceil(log2(dim))`` bits each."""
+    """Append each level of a tree: a bit per node (split?), then split axes in ``ceil(log2(dim))`` bits each."""
     first, num_nodes = 0, 1
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)

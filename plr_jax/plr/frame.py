@@ -95,7 +95,7 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    """Return the size class of a file: the exponent of the smallest power of two that holds its bytes."""
+    """Return a file's size class: the exponent, at least 8, of the smallest power of two that holds its bytes."""
     return max(MIN_CLASS, (num_bytes - 1).bit_length())
 
 
@@ -170,7 +170,7 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 
 
 def is_far(domain: Box) -> bool:
-    """Return whether a domain is more than four times its width away from the origin along some axis."""
+    """Return whether an end of the domain is more than four times its width from the origin along some axis."""
     return bool((_largest_coordinates(domain) > _FAR * domain.width).any())
 
 
@@ -215,7 +215,7 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """Return the lower corner of a far domain (see :func:`is_far`), from which points are then counted; else None."""
+    """Return the lower corner of a far domain (see :func:`is_far`), the origin of its points; else None."""
     return domain.lo if is_far(domain) else None
 
 

@@ -61,7 +61,7 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield each row's first and last column that segments cross, and whether they do; no end is between rows."""
+    """Yield each row's first and last crossed column, and whether it is crossed; no end may be on a row border."""
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
