@@ -92,8 +92,8 @@ class BitWriter:
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the number of extra
-        bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
+        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the numbers of
+        extra bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
         """
         if not len(values):
             return self
