@@ -88,7 +88,7 @@ class NearestGoal:
 
     @property
     def is_lower_bound(self) -> bool:
-        """Whether it is nowhere above the truth: if none of them is."""
+        """Whether the minimum is a lower bound of the true distance: true if all functions are lower bounds."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Distances:
