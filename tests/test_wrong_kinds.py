@@ -68,7 +68,7 @@ def built(**options):
         (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
         (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
-        (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
+        (lambda: construct(cone, ([-1e308], [1e308])), "A domain's coordinates must be below 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
         (lambda: save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
         (lambda: save(built(), None), "path must be the name of a file, a str or a Path, got None"),
@@ -83,12 +83,15 @@ def built(**options):
         (lambda: validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
         (lambda: construct(lambda x: None, UNIT), r"must be real numbers of shape \(192,\), got None"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
-        (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; of a file's name use load_numpy"),
-        (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, of a PLR plr.numpy\(\)"),
-        (lambda: PLR.stack(5), r"plrs must be a list of PLRs, got 5; for one give \[plr\]"),
+        (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; for a path use load_numpy"),
+        (
+            lambda: NumpyPLR(built()),
+            r"data must be the bytes of a PLR file, got PLR\(.*, for a PLR call plr.numpy\(\)",
+        ),
+        (lambda: PLR.stack(5), r"plrs must be a list of PLRs, got 5; for a single PLR pass \[plr\]"),
         (lambda: PLR.stack(built()), r"plrs must be a list of PLRs, got PLR\("),
-        (lambda: PLR.stack([5]), "Only PLRs can be stacked, number 0 is 5"),
-        (lambda: PLR.stack([]), "A stack needs at least one PLR, got none"),
+        (lambda: PLR.stack([5]), "plrs must be a list of PLRs, got 5 at index 0"),
+        (lambda: PLR.stack([]), "A stack needs at least one PLR, got an empty list"),
         (lambda: Problem(5, [PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
         (lambda: Problem(ROOM, PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),
         (lambda: Problem(ROOM, [PointRobot()], *ENDS, "x"), "rotation_weight must be a finite number"),
@@ -139,7 +142,7 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
 
 
 def test_what_a_changed_map_needs_is_said():
-    with pytest.raises(AttributeError, match=r"plr.updated\(oracle\) is one of a map that did"):
+    with pytest.raises(AttributeError, match=r"for a changed map use plr.updated\(oracle\)"):
         _ = built().update
 
 

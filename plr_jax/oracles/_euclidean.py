@@ -75,7 +75,7 @@ class NearestGoal:
 
     @property
     def is_lower_bound(self) -> bool:
-        """Whether the distance is nowhere above the true one, which is so if it holds for all goals."""
+        """Whether the minimum is a lower bound of the true distance: true if all functions are lower bounds."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Distances:

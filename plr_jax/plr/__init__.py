@@ -1,8 +1,4 @@
-"""Room 2, store: piecewise linear regressions over a binary space partition.
-
-The public names are listed in ``__init__.pyi`` and loaded when they are first used: what reads a PLR without JAX does
-not import it.
-"""
+"""Piecewise linear regressions over a binary space partition (public names: ``__init__.pyi``)."""
 
 import lazy_loader
 

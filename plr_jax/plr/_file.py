@@ -1,7 +1,4 @@
-"""A PLR's file: the tree of its leaves, and what their model keeps of them.
-
-See ``container.py`` for the layout, the same on every machine.
-"""
+"""Encoding and decoding of PLR files (layout: ``portable/FORMAT.md``), and the leaf data that queries need."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -24,10 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """What the last layer of a file holds: a tree, and what is stored of its leaves in the order of its traversal.
-
-    They partition ``domain``, which is the box of a folding, where points are folded.
-    """
+    """The content of a PLR file: leaf data in traversal order, of a tree that partitions the (folded) domain."""
 
     domain: Box
     leaf: LeafModel
@@ -38,7 +32,6 @@ class DecodedFile:
 
 
 def encode(contents: DecodedFile) -> bytes:
-    """The bytes of the file that holds these leaves."""
     body, proof = body_of_leaves(contents), Proof.NONE
     if contents.certificate is not None:
         contents.certificate.write(body)
@@ -49,7 +42,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """The bits of the tree and of its leaves, to which those of a proof may be added."""
+    """Encode the tree and the leaf data; the caller may append a proof."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -57,7 +50,7 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 
 
 def decode(data: bytes) -> DecodedFile:
-    """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    """Decode a file; raises ``ValueError`` if it is invalid."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
     leaf = leaf_of_code(layer.leaf_code)
@@ -66,12 +59,14 @@ def decode(data: bytes) -> DecodedFile:
     tree = read_tree(body, dim)
     cells = tree.leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
-        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
+        raise ValueError(f"it splits a cell {deepest} times along one axis, more than {FRACTION_BITS}")
     if container.folding is not None and isinstance(leaf, Cone):
-        raise ValueError("its points are folded, but its leaves have sources, which are not")
+        raise ValueError("its points are folded, but its leaves have sources, which cannot be folded")
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
-        raise ValueError(f"it has a proof of kind {layer.proof_code}, this release knows kinds 0 to {max(Proof)}")
+        raise ValueError(
+            f"its proof must be of kind 0 to {max(Proof)}, but is of kind {layer.proof_code}; update plr_jax"
+        )
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells), dim)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
@@ -79,46 +74,38 @@ def decode(data: bytes) -> DecodedFile:
 
 
 def decode_cells(data: bytes) -> Cells:
-    """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
+    """Decode only the leaves' cells, in traversal order."""
     container = Container.from_bytes(data)
     return read_tree(BitReader(container.last.body), container.domain.dim).leaves
 
 
-# Functions of all leaves of a file: what is stored, and for leaves without one that of a neighbor.
-
-
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """The domain that leaves partition, for points counted from an origin, and what a query of those reads of leaves.
+    """Return the domain of the leaves and the leaf parameters, both relative to an origin.
 
-    From the domain's own corner, neither is coarser the farther that is from the origin of coordinates. Folded points
-    are seen from their center, wherever others are counted from.
-
-    Raises:
-        ValueError: If 32-bit floats cannot hold the domain or the numbers.
+    Relative to the domain's corner, both keep full precision. Folded points are relative to the folding's center
+    anyway. Raises ``ValueError`` if 32-bit floats cannot hold them.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
-    numbers = contents.leaf.leaf_parameters(
-        contents.domain, contents.tree.leaves, filled_coefficients(contents), corner
-    )
-    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
-        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    numbers = contents.leaf.leaf_parameters(contents.domain, contents.tree.leaves, filled_coefficients(contents), corner)
+    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # also false for NaN
+        raise ValueError(f"its distances and slopes must be below {LARGEST:g} for 32-bit floats; scale them down")
     return domain, numbers
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Coefficients of all leaves.
+    """Return the coefficients of all leaves, where unreachable leaves borrow from a neighbor.
 
-    An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
-    corner, so that a free point beside or in a wall has an answer. Of one that touches none the first is ``inf``, the
+    An unreachable leaf continues the (mean) plane of the reachable leaf with which it shares the largest face, edge
+    or corner, so that free points in it have an answer. Without such a neighbor its first coefficient is ``inf``, the
     others are 0.
     """
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
     unreachable = coefficients[:, 0] == np.inf
     if not (np.abs(coefficients[~unreachable]) < LARGEST).all():
-        raise ValueError("its distances are too large for 32-bit floats; scale them down")
+        raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")
     if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
         donor = neighbor_of_largest_contact(
@@ -126,7 +113,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         )
         borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
         center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
-        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
+        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of the borrower, in units of the donor's
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
         apart = place[borrower] - place[donor]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
@@ -138,7 +125,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Intercepts, ``inf`` where the first coefficient is, and slopes of the leaves' (mean) planes."""
+    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` where no plane exists."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

@@ -1,4 +1,4 @@
-"""The piecewise linear regression: a partition of a box and a function in every leaf, ready to be queried."""
+"""The class :class:`PLR`: a distance function stored in the leaves of a binary space partition."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -48,41 +48,34 @@ from plr_jax.plr.tree import Cells
 class PLR(FileBacked):
     """A distance function stored over a binary space partition (Section III of the paper).
 
-    Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
-    jitted function can close over it or take it as an argument. Inside such a function it can be queried; its
-    other properties are for the host.
+    Made by :func:`construct` or :func:`load`; ``plr(x)`` evaluates it, see :func:`evaluate`. A PLR is immutable and a
+    pytree of arrays: a jitted function can close over it or take it as an argument. Inside such a function, it can
+    only be queried; its other properties are for the host.
 
-    ``jax.grad`` differentiates with respect to points. A PLR itself has integer tables, so ``jax.grad`` with respect
-    to a PLR raises ``TypeError``.
+    ``jax.grad`` differentiates with respect to points. With respect to a PLR it raises ``TypeError``, as a PLR has
+    integer tables.
 
     Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number: see ``held`` in
-            ``plr/container.py``.
+        file: Bytes that :func:`save` writes, padded; see :func:`~plr_jax.plr.container.padded_file`.
     """
 
     def __init__(
         self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, build_inputs: BuildInputs | None = None
     ) -> None:
-        """Wrap the padded bytes of a file, which must be right: see :func:`from_bytes`.
-
-        ``build_inputs`` is what the PLR was built from; :meth:`updated` starts with it. It is not part of the pytree.
-        """
+        """Wrap the padded bytes of a valid file; ``build_inputs``, for :meth:`updated`, is not in the pytree."""
         self.file = file
         self.build_inputs = build_inputs
 
     @cached_property
     def tables(self) -> Tables:
-        """What a query reads, derived from ``file`` alone."""
+        """Lookup tables of a query, derived from ``file``."""
         contents = self._contents
-        with jax.ensure_compile_time_eval():  # also in a function that is traced and closes over the PLR
+        with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
             return tables_of_contents(contents, np.zeros(contents.domain.dim), self.num_bytes)
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds of the distance minus an answer; None if nothing is proven.
-
-        It has one row for all leaves, or one a leaf, padded to a power of two; see :meth:`bounds`.
-        """
+        """Proven bounds of distance minus answer, in one column, or one per leaf (padded); None without proof."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -99,13 +92,11 @@ class PLR(FileBacked):
         return jax.device_put(certificate.straight.astype(np.float32))
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        """Return the tables, the file, the band and the straight line."""
         names = ("tables", "file", "band", "_straight")
         return tuple((GetAttrKey(name), getattr(self, name)) for name in names), None
 
     @classmethod
     def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any, Any]) -> "PLR":
-        """Return the PLR of tables, a file, a band and a straight line."""
         tables, file, band, straight = children
         plr = cls(file)
         plr.tables, plr.band, plr._straight = tables, band, straight
@@ -115,11 +106,10 @@ class PLR(FileBacked):
         raise no_attribute(
             self,
             name,
-            "It does not change: plr.updated(oracle) is one of a map that did; of another goal construct one.",
+            "A PLR is immutable: for a changed map use plr.updated(oracle), for another goal construct a new PLR.",
         )
 
     def with_label(self, label: str) -> "PLR":
-        """Return the PLR with another label: see :meth:`FileBacked.with_label`."""
         labeled = super().with_label(label)
         if labeled is not self:
             labeled.tables, labeled.band, labeled.build_inputs = self.tables, self.band, self.build_inputs
@@ -127,14 +117,13 @@ class PLR(FileBacked):
         return labeled
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
-        """Same as :func:`evaluate`."""
+        """Return the approximate distance at each point; see :func:`evaluate`."""
         tables, placed = self._tables_and_points(x)
         if outside == "inf":
             return evaluate_points(tables, placed)
         return evaluate_points_anywhere(tables, placed, as_outside(outside))
 
     def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
-        """Tables to ask and points to ask them for."""
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_queries(x)
@@ -145,7 +134,7 @@ class PLR(FileBacked):
 
     @property
     def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        """The tables for NumPy's 64-bit points, and what to do with these before they are rounded; None: nothing."""
+        """Tables for NumPy's 64-bit points, and how to place the points before they are rounded, if needed."""
         if isinstance(self.file, Tracer):
             return self.tables, None
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -161,24 +150,24 @@ class PLR(FileBacked):
 
     @cached_property
     def tables_from_corner(self) -> Tables:
-        """The tables for points counted from the lower corner of a domain that is far from the origin."""
+        """Tables for points relative to the lower corner of a domain that is far from the origin."""
         return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Proven bounds of the distance at each point from which the goal can be reached.
+        """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
-        The proof is about what :func:`construct`, :func:`certify` or :func:`solve_eikonal` was given, at points of
-        free space, walls included, but not at such as count as free, or reach the goal, to the workspace's tolerance
-        alone. It covers what a query rounds. But in a domain far from the origin, as in UTM coordinates, 32-bit
-        floats resolve points worse than cells: of JAX's, and under ``jax.jit``, it is about the points that rounding
-        makes of them. Give NumPy's 64-bit points, outside of ``jit``, or enable ``jax_enable_x64``.
+        The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
+        given, and covers the rounding of a query. Boundaries of obstacles are included. Points that are free, or
+        connected to the goal, only by the workspace's tolerance are not. In a domain far from the origin, as in UTM
+        coordinates, 32-bit points are rounded by more than the size of cells, and the bounds hold for the rounded
+        points: pass NumPy's 64-bit points outside of ``jit``, or enable ``jax_enable_x64``.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
 
         Returns:
-            Lower bounds, at least 0, and upper bounds, ``(...)`` each. Both are ``inf`` outside the domain, NaN where
-            a coordinate is. In obstacles, and where the goal cannot be reached, they mean nothing.
+            Lower bounds, at least 0, and upper bounds, ``(...)`` each. Both are ``inf`` outside the domain and NaN
+            for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
 
         Raises:
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
@@ -188,14 +177,11 @@ class PLR(FileBacked):
 
     @property
     def lower(self) -> "LowerBound":
-        """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does.
+        """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
-        What a leaf answers, less ``max_error``, or less the leaf's own bound if the proof has bounds of leaves, which
-        is far closer to the truth. It jumps from leaf to leaf, and so is not consistent: a search must open nodes
-        again to which it finds a shorter way.
-
-        Of points ``(..., dim)`` as :meth:`bounds` takes them: at least 0, ``inf`` outside the domain, NaN for NaN;
-        where the goal cannot be reached it means nothing. Raises ``ValueError`` if nothing is proven of the PLR.
+        It is the first result of :meth:`bounds`. It is not consistent, since it jumps between leaves: a search must
+        reopen a node when it finds a shorter path to it. Lower bounds of several robots can be stacked as PLRs can.
+        Raises ``ValueError`` if nothing is proven of the PLR.
         """
         self._require_band()
         return LowerBound(self)
@@ -204,33 +190,34 @@ class PLR(FileBacked):
         if self.band is not None:
             return self.band
         raise ValueError(
-            "Nothing is proven of this PLR: construct it with certified=True, use certify(plr, oracle), or give "
-            "solve_eikonal a space that classifies boxes, without certified=False."
+            "Nothing is proven of this PLR: construct it with certified=True, call certify(plr, oracle), or call "
+            "solve_eikonal with a space that classifies boxes and without certified=False."
         )
 
     @property
     def max_error(self) -> float | None:
         """Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
 
-        ``inf`` where some leaf is bounded from below alone, as mostly by :func:`solve_eikonal`: see :meth:`bounds`.
+        It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`; see :meth:`bounds`.
         """
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
 
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
-        """Where to go straight to from each point: the source of the leaf that holds it.
+        """Return the source of the leaf that holds each point, which is the next waypoint on the way to the goal.
 
-        A leaf may name the very source that a point is at: for whole paths, see :func:`trace`. It knows no walls.
+        Walls are not considered. At a source, the waypoint may be that source itself; for whole paths see
+        :func:`trace`.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
 
         Returns:
-            Points, ``(..., dim)``, in the same precision; NaN outside the domain and for NaN. Of NumPy's 64-bit
-            points in a domain far from the origin, NumPy's.
+            Points, ``(..., dim)``, in the precision of ``x``; NaN outside the domain and for NaN. A NumPy array for
+            NumPy's 64-bit points in a domain far from the origin.
 
         Raises:
-            ValueError: If leaves have no sources, as only those of cones do, or as for :func:`evaluate`.
+            ValueError: If the leaves are not cones, which alone have sources, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
         tables, placed = self._tables_and_points(x)
@@ -238,37 +225,36 @@ class PLR(FileBacked):
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
-        """The PLR of a map that has changed here and there, with its proof, far sooner than one made from nothing.
+        """Return the PLR of a locally changed map, much faster than a new construction.
 
-        Of certified cones. Leaves in which all distances are proven to have changed by one number stay, with their
-        sources, whose distances are kept in one place. Elsewhere the best leaves are found anew, at the price of a
-        leaf that the others have: the mean error is about that of a PLR made from nothing. As far as the budget is
-        exceeded leaves are put together, where it is not used up those are made anew that err most. A PLR in memory
-        keeps its oracle, and what is known of its tree from one change to the next; the first change takes longer, as
-        does one of a PLR from a file.
+        Only for certified cones. A leaf stays if all its distances are proven to have changed by one constant.
+        Elsewhere new leaves are searched; the mean error is about that of a new PLR. If the budget is exceeded,
+        leaves are merged; if some of it is left, leaves with large errors are refined. A PLR in memory keeps its
+        oracle and what is known of its tree, so later updates are faster than the first one, or than one of a PLR
+        from a file.
 
         Args:
-            oracle: The oracle of the map as it is now, such as ``before.with_workspace(workspace)``, for the same
-                goal.
-            before: The one that the PLR is of; None: the one that it was made or last updated of, in this process.
-            max_bytes: Most bytes of the file; None: as when it was made, with the other limits that it had then; or,
-                of a file, as many as it has.
+            oracle: Oracle of the new map for the same goal, such as ``before.with_workspace(workspace)``.
+            before: Oracle of the old map; None for the one that this PLR was built or last updated with, in this
+                process.
+            max_bytes: Most bytes of the file; None for the limits of the construction or, for a PLR from a file, its
+                size.
 
         Returns:
-            The PLR, of the same domain, label and kind of proof. ``bounds`` hold as those of a new one do. This one
-            is as it was, also if that is interrupted.
+            A new PLR with the same domain, label and kind of proof, whose ``bounds`` hold for the new map. This PLR
+            does not change.
 
         Raises:
-            ValueError: If it is not one of cones with a proof, the oracles are no visibility graphs of one goal, what
-                it is of is not known, or found to be another one than ``before``, or as for :func:`construct`.
+            ValueError: If this is no PLR of certified cones, the oracles are no visibility graphs of one goal, the
+                old oracle is unknown or found to differ from ``before``, or as for :func:`construct`.
         """
         require_updatable(self._contents)
         inputs = self.build_inputs
         if inputs is None:
             if before is None:
                 raise ValueError(
-                    "What this PLR was made of is not known, as of one from a file: give the oracle of the map "
-                    "before, plr.updated(oracle, before)."
+                    "An update needs the oracle of the old map, which a PLR from a file does not know: call "
+                    "plr.updated(oracle, before)."
                 )
             inputs = BuildInputs(before, self.num_bytes)
         elif before is not None and before is not inputs.oracle:
@@ -282,66 +268,53 @@ class PLR(FileBacked):
         return plr
 
     def numpy(self) -> NumpyPLR:
-        """The same in NumPy alone, by the arithmetic that is part of the file format: quick for a single point."""
+        """Return the PLR as a :class:`NumpyPLR`, which needs no JAX and is fast for single points."""
         return NumpyPLR(self.to_bytes())
 
     def c_header(self, name: str) -> str:
-        """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
+        """Return the PLR as a C99 header, also valid C++, which allocates no memory and calls only ``sqrtf``.
 
-        It defines ``float NAME_distance(const float x[dim])``, and of cones ``void NAME_waypoint(const float x[dim],
-        float waypoint[dim])``; in a domain far from the origin coordinates are doubles. Answers are those of
-        :meth:`numpy`, bit for bit, where nothing is fused: compile with ``-ffp-contract=off``.
+        It defines ``float NAME_distance(const float x[dim])`` and, for cones, ``void NAME_waypoint(const float
+        x[dim], float waypoint[dim])``; in a domain far from the origin, coordinates are doubles. Results equal those
+        of :meth:`numpy` bit for bit if compiled with ``-ffp-contract=off``.
 
         Args:
-            name: With which all that it defines begins, an identifier of C.
-
-        Returns:
-            The text of the header.
-
-        Raises:
-            ValueError: If the name is no identifier.
+            name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
         """
         return self.numpy().c_header(name)
 
     def js_module(self) -> str:
-        """The same as one module of JavaScript, which imports nothing.
+        """Return the PLR as the text of a JavaScript module without imports.
 
-        It exports ``distance(x)`` of a point, an array of ``dim`` numbers, and of cones ``waypoint(x)``, an array
-        again. Answers are those of :meth:`numpy` to points of 64 bits, as numbers of JavaScript are, bit for bit.
-
-        Returns:
-            The text of the module.
+        It exports ``distance(x)`` of an array of ``dim`` numbers and, for cones, ``waypoint(x)``. Results equal those
+        of :meth:`numpy` for 64-bit points, bit for bit.
         """
         return self.numpy().js_module()
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
-        """One function of all robots' PLRs: a batch of joint configurations in one compiled call.
+        """Combine one PLR per robot of a team into a function of joint configurations, compiled as one.
 
         Args:
-            plrs: One PLR a robot; they may differ in size, dimension and leaf model.
+            plrs: One PLR per robot; they may differ in size, dimension and leaf model.
 
         Returns:
-            A function of joint configurations ``(n, robots, dof)``, NumPy, that returns each robot's distance
-            ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
+            A function that maps joint configurations ``(n, robots, dof)``, NumPy, to distances ``(n, robots)``,
+            float64. Each PLR sees the leading coordinates of its robot and answers as by itself, bit for bit.
 
         Raises:
-            ValueError: If they are not a list of PLRs, at least one. When called, if the robots are not as many as
-                the PLRs, or a PLR has more dimensions than there are coordinates.
+            ValueError: If ``plrs`` is no such list. When called, if the number of robots is wrong, or a PLR has more
+                dimensions than ``dof``.
         """
         plrs = as_plrs(plrs)
         tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
         return TableStack(tables, (None,) * len(plrs), placements)
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
+        """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
 
-        Args:
-            leaf: Index of each point's leaf.
-            x: The points; around periodic axes, those nearest to the leaf's center that they stand for.
-
-        Returns:
-            The values in double precision, ``inf`` for leaves that answer ``inf``.
+        Along periodic axes, the image of a point nearest to the leaf's center is used. Values are ``inf`` for leaves
+        that answer ``inf``.
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
@@ -352,42 +325,39 @@ class PLR(FileBacked):
 
     @property
     def leaf(self) -> LeafModel:
-        """The leaf model; ``leaf.name`` is what :func:`construct` calls it."""
+        """Leaf model; its ``name`` is the ``leaf`` argument of :func:`construct`."""
         return self.tables.leaf
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.tables.dim
 
     @cached_property
     def container(self) -> Container:
-        """The file."""
         return Container.from_bytes(self.to_bytes())
 
     @cached_property
     def domain(self) -> Box:
-        """The closed box that the PLR covers."""
+        """Closed box that the PLR covers."""
         return self.container.domain
 
     @property
     def folded_domain(self) -> Box:
-        """The closed box that leaves partition: the domain, or that of folded points, seen from their center."""
+        """Closed box that the leaves partition: the domain, or the box of folded points around the center."""
         return self.container.folded_domain
 
     @cached_property
     def cells(self) -> Cells:
-        """The leaves' cells, in the order of the tree's left-to-right traversal."""
+        """Cells of the leaves, in left-to-right traversal order of the tree."""
         return decode_cells(self.to_bytes())
 
     @property
     def stored(self) -> Any:
-        """What the leaf model stores of the leaves, exactly as in the file."""
+        """Leaf data of the leaf model, exactly as in the file."""
         return self._contents.stored
 
     @property
     def num_leaves(self) -> int:
-        """Number of leaves of the partition."""
         return len(self.cells)
 
     @property
@@ -397,12 +367,12 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Corners of the leaves, or of all boxes that fold into one each; ``ValueError`` where those are no boxes."""
+        """Corners of the leaves, or of all boxes that fold into them; ``ValueError`` if folded axes are rotated."""
         return self._boxes[:2]
 
     @property
     def leaf_of_box(self) -> Int[np.ndarray, "boxes"]:
-        """The leaf of each of :attr:`leaf_boxes`."""
+        """Leaf of each box in :attr:`leaf_boxes`."""
         return self._boxes[2]
 
     @cached_property
@@ -413,7 +383,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves of which nothing was found to reach the goal: they borrow a neighbor's plane or answer ``inf``."""
+        """Leaves without a reachable sample, which borrow a neighbor's plane or answer ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
@@ -428,7 +398,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Intercept of every leaf's (mean) plane ``slope . x + intercept``; ``inf`` where a leaf answers it."""
+        """Intercept of every leaf's (mean) plane ``slope . x + intercept``; ``inf`` if the leaf answers ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -453,20 +423,20 @@ class PLR(FileBacked):
 
 
 def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
-    """A list of PLRs that are stacked, at least one, or ``ValueError``."""
+    """Check that the argument is a non-empty collection of PLRs and return it as a list."""
     if not isinstance(plrs, Iterable):
-        raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for one give [plr].")
+        raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for a single PLR pass [plr].")
     plrs = list(plrs)
     for i, plr in enumerate(plrs):
         if not isinstance(plr, PLR):
-            raise ValueError(f"Only PLRs can be stacked, number {i} is {shortened(plr)}.")
+            raise ValueError(f"plrs must be a list of PLRs, got {shortened(plr)} at index {i}.")
     if not plrs:
-        raise ValueError("A stack needs at least one PLR, got none.")
+        raise ValueError("A stack needs at least one PLR, got an empty list.")
     return plrs
 
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
-    """What queries read of a file of so many bytes, for points counted from an origin."""
+    """Build the tables of a file of ``num_bytes`` bytes, for points relative to an origin."""
     domain, numbers = relative_to_origin(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
     return tables.with_folding(contents.folding, origin)
@@ -475,11 +445,9 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """A distance function that is nowhere above the truth: see :attr:`plr_jax.PLR.lower`.
+    """A distance function that is nowhere above the true distance; see :attr:`plr_jax.PLR.lower`.
 
-    Attributes:
-        plr: The PLR.
-        is_lower_bound: True, by which planners know.
+    ``is_lower_bound`` is always true: planners may use the function as an admissible heuristic.
     """
 
     plr: PLR
@@ -487,18 +455,17 @@ class LowerBound:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.plr.dim
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """The lower of the bounds, of points ``(..., dim)``."""
+        """Return a lower bound of the distance at each point ``(..., dim)``; see :meth:`PLR.bounds`."""
         return self.plr.bounds(x)[0]
 
     @staticmethod
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
-        """One function of all robots' lower bounds, as PLRs stack."""
+        """Combine the lower bounds of all robots of a team; see :meth:`PLR.stack`."""
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
-            raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
+            raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
         first, *_ = fns
         return replace(
             first.plr.stack([fn.plr for fn in fns]), bands=tuple((fn.plr.band, fn.plr._straight) for fn in fns)
@@ -506,17 +473,14 @@ class LowerBound:
 
 
 def from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold.
+    """Decode a PLR from the bytes of a file.
 
     Args:
-        data: What :meth:`PLR.to_bytes` gave.
-
-    Returns:
-        The PLR, which answers as the one that was written, bit for bit.
+        data: Result of :meth:`PLR.to_bytes`. The decoded PLR's answers equal the original's bit for bit.
 
     Raises:
-        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
-            beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
+        ValueError: If the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
+            floats, or loading would take far more memory than a file of this size should need.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
@@ -525,12 +489,12 @@ def from_bytes(data: bytes) -> PLR:
 
 
 def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Return the PLR that the file of these leaves gives, bit for bit, without reading the file."""
+    """Return the PLR that the file of these leaves decodes to, bit for bit, without decoding it."""
     return _assemble(encode(contents), contents, build_inputs)
 
 
 def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Return the PLR of a file's bytes, with all that the first query needs; it does not keep the contents."""
+    """Build a PLR with all that its first query needs; the decoded contents are not kept."""
     plr = PLR(padded_file(data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
@@ -540,11 +504,9 @@ def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | No
 
 
 def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
-    """The same PLR with another proof."""
     return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    """Index of the leaf that answers for each point."""
     tables, placement = plr._tables_and_placement
     return np.asarray(find_leaves(tables, x if placement is None else placement(x))).astype(np.int64)

@@ -1,4 +1,14 @@
-"""PLRs as functions: one of a point, many of an index and a point."""
+"""Evaluation of one PLR (:func:`evaluate`), and of many as one function of index and point (:func:`stack`).
+
+A stack holds one *trie* of all its PLRs: a lookup table whose levels each consume a few fraction bits (``frame.py``).
+A *page* has an entry for each cell of a regular grid. The first page of a PLR covers the domain; the first pages of
+all PLRs are adjacent. Any other page covers one cell of the level above that several leaves share. An odd entry ``2 *
+i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. Entry ``i`` is also
+``2 * i`` for each row, so that reading a found row again finds it again. A trie takes more reads than pages of one
+PLR (``tables.py``), but less memory.
+
+References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
+"""
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,27 +43,14 @@ from plr_jax.plr.query import evaluate_tables
 from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
-# A trie: one table of many PLRs, of as many levels as the deepest needs, each of a few bits of a point's place.
-#
-# A *page* has an entry for each cell of a regular grid: the first page of a PLR for those of the domain, which nearly
-# always say the leaf at once, any other for those of one cell of the level above that several leaves share. An entry
-# is odd if it leads to a page, and then half of it is where the page begins; else half of it is the row of the leaf's
-# numbers. At the index of a row there is an entry of that same row: a read of what is found already finds it again.
-#
-# That takes more reads than the pages of one PLR (``tables.py``) and less memory, for which the reads of many PLRs
-# wait. And nothing else differs from one PLR to the next. First pages, which all points read, stand side by side.
-#
-# References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
-
-
-_FIRST_BITS = 10  # of a first page: those of a thousand PLRs take 4 MB, and others are seldom read
-_PAGE_BITS = 6  # of others, at the most
-_MOST_ENTRIES = 2**25  # of one PLR, at the most, before leaves that share pages are seen to
-_MOST_INDICES = 2**31  # an entry has one bit for other things
+_FIRST_BITS = 10  # index bits of first pages: those of a thousand PLRs take 4 MB, and most points need no other
+_PAGE_BITS = 6  # most index bits of other pages
+_MOST_ENTRIES = 2**25  # most entries of one PLR, by an upper bound that counts shared pages for each leaf
+_MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Where levels begin and end: so many bits of a place along each axis, from none to all of them."""
+    """Return the fraction bits per axis that are consumed at the end of each level, beginning with zeros."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -64,11 +61,8 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """The trie of several partitions, of which each leaf's numbers are in a given row.
-
-    Raises ``ValueError`` if one is too deep or has too many pages, or all of them together are too large.
-    """
-    # Mask and shift that make an index into a page of the bits of a point's place between two levels.
+    """Build the trie of partitions, given each leaf's row; raises ``ValueError`` if it is too deep or large."""
+    # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
     shifts = FRACTION_BITS - ends[1:] - (np.cumsum(steps[:, ::-1], axis=1)[:, ::-1] - steps)
@@ -81,8 +75,10 @@ def build_trie(
         for begin, behind in pairwise(levels):
             pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
             most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
-        if most > _MOST_ENTRIES or (shifts < 0).any():  # no bits of a place belong farther left in an index
-            raise ValueError("A PLR has leaves too deep for a stack. Lower max_depth, or call it by itself.")
+        if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
+            raise ValueError(
+                "A PLR has leaves too deep for a stack. Construct it with a lower max_depth, or call it alone."
+            )
         for number, pages in enumerate(_pages(cells, of_leaf, levels, end)):
             if number == 0:
                 first_pages.append(pages)
@@ -90,7 +86,9 @@ def build_trie(
                 others.append(pages)
                 end += len(pages)
     if end >= _MOST_INDICES:
-        raise ValueError(f"{len(partitions):,} PLRs have tables too large for one stack; make several of fewer PLRs.")
+        raise ValueError(
+            f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs into several."
+        )
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(len(entries)))
     return Trie(jnp.asarray(entries), jnp.asarray(bits.astype(np.uint32)), jnp.asarray(np.uint32(num_rows)))
@@ -99,8 +97,8 @@ def build_trie(
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[Int[np.ndarray, "dim"]], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """The pages of each level of one partition, side by side; those of the second level on start at a given index."""
-    page = np.zeros(1, np.int64)  # of this level: the indices of their cells in the grid of the level above
+    """Yield the entries of all pages of one partition, level by level; second-level pages begin at ``next_start``."""
+    page = np.zeros(1, np.int64)  # cells of the level above that have a page in this one
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
         is_here = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (number == 0))
@@ -125,7 +123,7 @@ def _page_entries(
     begin: Int[np.ndarray, "dim"],
     end: Int[np.ndarray, "dim"],
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """The page and the entry there of places in the grid of a level that has these pages."""
+    """Return the page and the entry in it for positions in the grid of a level."""
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -133,15 +131,14 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """PLRs whose domains and foldings have arrays of one structure.
+    """PLRs whose tables differ only in values, not in the shapes of domain and folding.
 
     Attributes:
-        arrays: Each array of the tables' structure, if it is the same for all; else those of all PLRs, side by side.
-        trie: The rows of the numbers of their leaves.
-        leaf_parameters: One row a number, or a leaf's side by side, as in :class:`Tables`; leaves with the same share them.
-        shapes: Of each array of one PLR; None if it is the same for all.
-        structure: That of tables without leaves.
-        first_bits: How many bits of a place the first level of the trie takes.
+        arrays: For each array of the tables, the shared array if all are equal, else all of them, flattened.
+        leaf_parameters: Distinct rows of all leaves, laid out as in :class:`Tables`.
+        shapes: Shape of one PLR's array, or None if it is shared.
+        structure: Pytree structure of tables without leaves.
+        first_bits: Fraction bits that the first level of the trie consumes.
     """
 
     arrays: tuple[Array, ...]
@@ -153,18 +150,18 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        """That of PLRs, given their tables, and these without leaves."""
-        # 1. What tells their domains and foldings apart.
+        """Group PLRs, given their tables with and without leaves."""
+        # 1. Share the arrays of domains and foldings that are equal; flatten the others.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
             is_shared = all(np.array_equal(column[0], each) for each in column[1:])
             arrays.append(jnp.asarray(column[0] if is_shared else np.stack(column).ravel()))
             shapes.append(None if is_shared else column[0].shape)
-        # 2. The numbers of leaves: the first of all rows that are bit for bit alike, and which of these each is like.
+        # 2. Deduplicate rows of leaf parameters, by a hash of their bits.
         rows, distinct, num_rows = [], [], 0
         for plr, each in zip(plrs, tables, strict=True):
-            # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
+            # With pages, the first slots are the leaves themselves.
             count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             key = np.zeros(plr.num_leaves, np.uint64)
@@ -176,7 +173,7 @@ class _SameShapeGroup:
             num_rows += len(first)
         table = np.concatenate(distinct)
         table = padded(table, size_in_eighths(len(table)))
-        # 3. The way from a place to a row.
+        # 3. Build the trie that leads to the rows.
         levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
         structure = jax.tree_util.tree_structure(frames[0])
@@ -184,7 +181,7 @@ class _SameShapeGroup:
         return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """The tables of each point's PLR."""
+        """Return tables in which each point reads the PLR of its index."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
@@ -197,20 +194,17 @@ class _SameShapeGroup:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PLRStack:
-    """Many PLRs as one function: ``f(index, x)`` is the distance of each point by the PLR of its index.
+    """Many PLRs as one function: ``f(index, x)`` is the distance at each point by the PLR with that index.
 
-    Made by :func:`stack`. A pytree of arrays: a jitted function can close over it or take it as an argument, under
-    ``jax.vmap`` and ``jax.grad`` too. Stacks of as many PLRs of one leaf model, and about as large, share compiled
-    code.
+    Made by :func:`stack`. It is a pytree of arrays: a jitted function can close over it or take it as an argument,
+    also under ``jax.vmap`` and ``jax.grad``. Stacks with equally many PLRs of one leaf model and similar size share
+    compiled code.
 
     Attributes:
-        groups: The tables of PLRs that are alike.
-        group: The group of each PLR.
-        place: Its place there.
-        corners: The corner that the tables of each PLR count points from, in three parts that add up to it; None if
-            all count from the origin.
-        dim: Number of axes.
-        unresolved: Types of points that cannot be answered, as some domain is too far from the origin.
+        groups: Tables of PLRs whose arrays have equal shapes.
+        group, place: Group of each PLR, and its position there.
+        corners: Origin of each PLR's tables, as three 32-bit floats that add up to it; None if all are 0.
+        unresolved: Float types of points that are too coarse for some domain.
     """
 
     groups: tuple[_SameShapeGroup, ...]
@@ -224,26 +218,26 @@ class PLRStack:
         return self.group.shape[0]
 
     def __call__(self, index: ArrayLike, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
-        """Distance of each point by the PLR of its index.
+        """Return the distance at each point by the PLR of its index.
 
         Args:
-            index: Indices of PLRs, integers of any shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. NumPy's are placed in 64 bits, as for
-                :func:`evaluate`, if ``index`` is NumPy's too.
-            outside: What points outside the domain of their PLR get, as for :func:`evaluate`.
+            index: Indices of PLRs, integers of a shape that broadcasts with the batch.
+            x: Points, ``(..., dim)``, NumPy or JAX. NumPy points are placed in 64 bits, as in :func:`evaluate`, if
+                ``index`` is NumPy too.
+            outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
-            Distances, of the shape to which index and batch broadcast: what the PLR of the index answers, up to
-            rounding. NaN where the index is not that of a PLR; negative ones do not count from the end.
+            Distances, in the broadcast shape of index and batch, equal to the PLR's own up to rounding. NaN for
+            indices that are negative or too large.
 
         Raises:
-            ValueError: If ``x`` has another last axis than ``dim``, ``index`` holds no integers, or ``outside`` is
-                none of the three.
+            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, or ``outside`` is
+                invalid.
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if index.dtype.kind not in "iu":
-            raise ValueError(f"index must hold integers, numbers of PLRs, got an array of {index.dtype}.")
+            raise ValueError(f"index must hold integer indices of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:
             raise ValueError(f"Points must have shape (..., {self.dim}), got {x.shape}.")
         corners, outside = self.corners, as_outside(outside)
@@ -259,26 +253,29 @@ class PLRStack:
 
 
 def stack(plrs: Sequence[PLR]) -> PLRStack:
-    """One function of many PLRs: ``stack(plrs)(index, x)``, a pytree.
+    """Combine many PLRs into one function of index and point, ``stack(plrs)(index, x)``, which is a pytree.
+
+    It is fastest if all PLRs have one leaf model; otherwise every point reads the tables of each model. To evaluate
+    one PLR for each robot of a team, use :meth:`PLR.stack`.
 
     Args:
-        plrs: The PLRs, at least one, all of one number of dimensions; of any leaf models and sizes. It is fastest
-            where all have one leaf model: else the tables of each are read for every point.
+        plrs: At least one PLR, of any leaf models and sizes, all of one dimension.
 
     Returns:
-        The function. For a team, one PLR a robot, see :meth:`PLR.stack`.
+        The function.
 
     Raises:
-        ValueError: If they are not a list of PLRs, at least one, of one number of dimensions; or all their tables
-            together are too large for 32-bit indices.
+        ValueError: If ``plrs`` is no such list, or all tables together are too large for 32-bit indices.
     """
     plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
-        raise ValueError(f"A stack needs PLRs of one number of dimensions, got those of {sorted(dims)}.")
-    # In a domain that is far from the origin, points are counted from its corner.
+        raise ValueError(
+            f"A stack needs PLRs of one dimension, got dimensions {sorted(dims)}: make a stack for each."
+        )
+    # Tables of a far domain take points relative to its corner.
     tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
-    # Tables without all that tells leaves apart, but for how many numbers each has, in groups of one structure.
+    # Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
     frames = [
         replace(
@@ -328,43 +325,41 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside) -> Fl
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
-    """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
+    """Return the approximate distance at each point (Section III-A of the paper); the same as ``plr(x)``.
 
-    Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
-    everywhere, and zero where the distance is ``inf``; where a coordinate is NaN, any numbers or NaN.
-
-    An optimizer that may leave the domain asks with ``outside="clamp"``, so that to descend is to return::
+    Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is that of the leaf's function; it is finite
+    everywhere and 0 where the distance is ``inf``. It is arbitrary where a coordinate is NaN. An optimizer that may
+    leave the domain should pass ``outside="clamp"``, so that a descent step leads back::
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
-    ``jax.export`` makes of a query, of batches of any size, what runs without this package; it takes some hundred
-    kilobytes, as tables are padded, and the package ``flatbuffers``. Close over the PLR, or pass the arrays that
-    ``jax.tree.flatten`` makes of it: a program that takes the PLR itself cannot be serialized::
+    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It takes some
+    hundred kilobytes and needs the package ``flatbuffers``. Close over the PLR or pass the leaves of
+    ``jax.tree.flatten(plr)``, as a program that takes the PLR itself cannot be serialized::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
         distances = jax.export.deserialize(exported.serialize()).call(x)
 
     Args:
-        plr: The PLR, of any leaf model.
-        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
-            least 32 bits; coefficients are 32-bit floats. Where the domain is far from the origin, as in UTM
-            coordinates, NumPy's 64-bit points are placed in 64 bits and answered as near it; JAX's 32-bit ones, and
-            all under ``jax.jit``, where rounding has put them (decimeters away) unless ``jax_enable_x64`` is on.
-        outside: What points outside the domain get: ``"inf"``; ``"clamp"``, the value at the nearest point of the
-            domain plus the straight-line distance to it in coordinates, ``inf`` if a coordinate is infinite; or
-            ``"nan"``. It changes no answer inside. Along a periodic axis no finite coordinate is outside.
+        plr: A PLR of any leaf model.
+        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computation is in their precision, at
+            least 32 bits; coefficients are 32-bit floats. In a domain far from the origin, as in UTM coordinates,
+            pass NumPy's 64-bit points outside of ``jit`` or enable ``jax_enable_x64``: 32-bit points are rounded
+            there, by decimeters.
+        outside: Answer outside the domain: ``"inf"``; ``"clamp"``, the value at the nearest point of the domain plus
+            the straight-line distance to it, ``inf`` if a coordinate is infinite; or ``"nan"``. Along a periodic
+            axis, no finite coordinate is outside.
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
-        value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
-        something does. Those get ``inf``; a NaN coordinate gives NaN. Cones answer a finite number everywhere in the
-        domain, where the goal cannot be reached as well. The upper edge of the domain belongs to the last cell; that
-        of a periodic axis is its lower edge, and points are wrapped around it, NumPy's 64-bit ones in 64 bits. An
-        approximation may be a little below 0 near the goal.
+        value, also in obstacles. Exceptions are leaves from which the goal cannot be reached and that touch no leaf
+        from which it can: they answer ``inf``, except cones, which are always finite. NaN coordinates give NaN. The
+        upper edge of the domain belongs to the last cell; along a periodic axis it is the lower edge. Near the goal,
+        values may be slightly negative.
 
     Raises:
-        ValueError: If the last axis of ``x`` is not ``dim`` long, its numbers are not real, or ``outside`` is none of
-            the three; or if fewer than 64 places along an axis of the domain are told apart by 32-bit points there.
+        ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if
+            the type of the points resolves fewer than 64 positions along an axis of the domain.
     """
     return plr(x, outside=outside)

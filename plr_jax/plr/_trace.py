@@ -1,4 +1,4 @@
-"""The way home from the file alone: from any point to its leaf's source, and on from source to source."""
+"""Paths to the goal from a PLR of cones alone: from each start to its leaf's source, then from source to source."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 _ROUNDING = 2.0**-24
-"""Widths of the domain: four times what a file rounds the place of a source that is on no lattice."""
+"""Tolerance, relative to the domain's width: four times the rounding of a source's coordinates in a file."""
 
 
 class TraceStatus(IntEnum):
     """How the path from a start ended."""
 
     ARRIVED = 0
-    """At the goal; without a workspace, whether walls are in the way is not known."""
+    """At the goal; without a workspace, it may cross walls."""
     OUTSIDE = 1
-    """There is none: the start is outside the domain, or a coordinate is NaN."""
+    """There is no path: the start is outside the domain, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
-    """At a source from where the file knows only how far the goal is, not the way."""
+    """At a source for which the file has the distance to the goal, but no path."""
     CROSSES_WALL = 3
-    """Anywhere, but a leg is not free in the workspace that was given."""
+    """A segment is not free in the given workspace."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +37,13 @@ class Traces:
     """Paths from many starts.
 
     Attributes:
-        paths: From each start along straight legs to the path's end, which is repeated up to the length of the
-            longest path, ``(n, steps, dim)``; NaN where there is no path.
-        counts: Number of points of each path without the repetitions, ``(n,)``: 1 where the start is the goal, 0
-            where there is no path.
-        lengths: Length of each path, ``(n,)``, in the units of the domain; ``inf`` where there is none.
-        status: How each path ended, a number of :class:`TraceStatus`, ``(n,)``.
-        are_tested: Whether legs were tested in a workspace.
+        paths: Points of each path, ``(n, steps, dim)``, from the start along straight segments; the last point is
+            repeated up to the length of the longest path. NaN if there is no path.
+        counts: Number of points of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 if there is
+            no path.
+        lengths: Length of each path in the units of the domain, ``(n,)``; ``inf`` if there is no path.
+        status: :class:`TraceStatus` of each path, ``(n,)``.
+        are_tested: Whether segments were tested for collisions with a workspace.
     """
 
     paths: Float[np.ndarray, "n steps dim"]
@@ -54,7 +54,7 @@ class Traces:
 
     @property
     def arrived(self) -> Bool[np.ndarray, "n"]:
-        """Which paths end at the goal, and cross no wall that is known of."""
+        """Paths that end at the goal and, if walls were tested, cross none."""
         return self.status == TraceStatus.ARRIVED
 
     def __len__(self) -> int:
@@ -66,32 +66,30 @@ class Traces:
 
 
 def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
-    """Paths to the goal from many starts, read from a PLR of cones alone, without a map.
+    """Return paths to the goal from many starts, read from a PLR of cones without a map.
 
-    The first leg goes to the source of the start's leaf, every further one to the source that follows it on its own
-    shortest path. So a path ends after at most as many legs as there are sources, and is as long as the PLR says.
-    Where all sources are an oracle's, their own ways home cross no wall; only a first leg may, where the start does
-    not see its leaf's source. The file knows no walls: a start in an obstacle, or cut off from the goal, is led
-    straight through them, and only with the workspace given is that told.
-
-    Runs on the host, in double precision: the leaves of all starts are found in one compiled query, the rest is
-    looked up.
+    The first segment leads to the source of the start's leaf, every further one to the next source on that source's
+    shortest path. So a path has at most as many segments as there are sources, and is as long as the PLR says. If all
+    sources come from an oracle, paths between them cross no wall; the first segment may, if the start does not see
+    its leaf's source. A start in an obstacle, or cut off from the goal, gets a path through walls: only with a
+    workspace is this detected. Runs on the host, in double precision.
 
     Args:
-        plr: The PLR, of leaves that have sources: built with ``leaf="cone"``.
-        starts: Where to begin, ``(n, dim)``.
-        workspace: Free space in which to test every leg, each alone, to within what a file rounds (6e-8 of the
-            domain's width): a way that goes on at the very point where walls touch passes. None: nothing is tested.
+        plr: PLR with ``leaf="cone"``.
+        starts: Start points, ``(n, dim)``.
+        workspace: Free space in which each segment is tested, up to the rounding of the file (6e-8 of the domain's
+            width). Segments are tested one by one: a path may pass a point where two walls touch if it bends there.
+            None: no tests.
 
     Returns:
-        The paths, with a status for each. A start that is a source begins with the leg from there.
+        A path and a status for each start. If a start is a source, its path begins with the segment from there.
 
     Raises:
-        ValueError: If it is no PLR, its leaves have no sources, or ``starts`` has another shape; with a workspace, if
-            it is none, or the PLR is not in the plane.
+        ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is none, or the PLR is
+            not in the plane but a workspace is given.
     """
     if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR can be traced, got {shortened(plr)}.")
+        raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
     sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
     if workspace is not None:
         from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
@@ -99,25 +97,27 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         if not isinstance(workspace, Workspace):
             raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
         if plr.dim != 2:
-            raise ValueError(f"A workspace is of the plane, but the PLR has {plr.dim} dimensions; trace without one.")
+            raise ValueError(
+                f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without a workspace."
+            )
     starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
     first = source_of_leaf[leaf_of(plr, starts[inside])]
 
-    # 1. Sources that paths go by, up to the roots, which are repeated; no file has sources that lead in a circle.
+    # 1. Follow the parents of sources up to the roots, which are repeated. Files never contain cycles.
     ways = [first]
     while (sources.parents[ways[-1]] != ways[-1]).any():
         ways.append(sources.parents[ways[-1]])
     way = np.stack(ways, axis=1)
 
-    # 2. Points of the paths, each once but for the last, which is repeated, and how many they are without that.
+    # 2. Collect the points of the paths; drop the start if it is a source.
     paths = np.concatenate([starts[inside, None], sources.points[way]], axis=1)
     at_source = (starts[inside] == sources.points[first]).all(axis=1)
     counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)
     paths[at_source, :-1] = paths[at_source, 1:]
     paths = paths[:, : max(1, counts.max(initial=1))]
 
-    # 3. How each ends, and whether a leg meets a wall; that of a source to the next is tested once for all paths.
+    # 3. Find how each path ends; segments between sources are tested once for all paths.
     rounding = _ROUNDING * float(plr.domain.width.max())
     is_at_goal = sources.distances[way[:, -1]] <= rounding
     status = np.where(is_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
@@ -129,7 +129,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
     lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
 
-    # 4. The same with rows for starts outside.
+    # 4. Add rows for starts outside the domain.
     def spread(column: Shaped[np.ndarray, "some *row"], fill: int | float) -> Shaped[np.ndarray, "n *row"]:
         every = np.full((len(starts), *column.shape[1:]), fill, column.dtype)
         every[inside] = column

@@ -1,4 +1,4 @@
-"""Integers of any width up to 62 bits, packed without gaps: the body of a PLR file."""
+"""Bit streams and varints: how integers, floats, sets and trees are packed into the bytes of a PLR file."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -6,14 +6,11 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
-_BITS, _MOST_BYTES = 7, 10  # of a byte of a varint, and bytes of the largest
+_BITS, _MOST_BYTES = 7, 10  # payload bits of a varint's byte; most bytes of a varint
 
 
 def varint(value: int) -> bytes:
-    """A number of at least 0, seven bits a byte, the lowest first; all bytes but the last have their highest bit set.
-
-    This is what others call LEB128.
-    """
+    """Encode an integer >= 0 as LEB128: seven bits per byte, lowest first, the high bit set if more bytes follow."""
     more, last = [], value
     while last >> _BITS:
         more.append(1 << _BITS | last & (1 << _BITS) - 1)
@@ -22,30 +19,28 @@ def varint(value: int) -> bytes:
 
 
 def signed_varint(value: int) -> bytes:
-    """A number of either sign: twice the absolute value, minus one if it is negative."""
+    """Encode a signed integer ``v`` as the varint of ``2 * v``, or of ``-2 * v - 1`` if it is negative."""
     return varint(2 * abs(value) - (value < 0))
 
 
 class ByteReader:
-    """Reads the fields of a header in the order in which they were written."""
+    """A reader of header fields; every method raises ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self.at = 0
 
     def take(self, count: int) -> bytes:
-        """The next bytes; raises ``ValueError`` past the end."""
         self.at += count
         if self.at > len(self._data):
             raise ValueError("the data end too early")
         return self._data[self.at - count : self.at]
 
     def byte(self) -> int:
-        """The next byte as a number."""
         return self.take(1)[0]
 
     def varint(self) -> int:
-        """The next number that :func:`varint` wrote; raises ``ValueError`` if it has more than ten bytes."""
+        """Decode the next varint; raises ``ValueError`` if it has more than ten bytes."""
         value = 0
         for place in range(_MOST_BYTES):
             byte = self.byte()
@@ -55,24 +50,22 @@ class ByteReader:
         raise ValueError("its header holds a number that is too large")
 
     def signed_varint(self) -> int:
-        """The next number that :func:`signed_varint` wrote."""
         code = self.varint()
         return -(code // 2) - 1 if code % 2 else code // 2
 
 
-_MAX_WIDTH = 62  # sums and shifts of such numbers stay within 64 bits
+_MAX_WIDTH = 62  # bits; sums and shifts of such integers fit 64 bits
 _COUNT_BITS, _ORDER_BITS = 32, 5
 _MAX_CODED = 2**40
 
 
 class BitWriter:
-    """Collects unsigned integers, each with its width in bits, least significant bit first."""
+    """A writer of unsigned integers of given bit widths, least significant bit first."""
 
     def __init__(self) -> None:
         self._bits: list[np.ndarray] = []
 
     def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
-        """Append each value in as many bits as its width says."""
         if isinstance(widths, int):
             bits = (values[:, None] >> np.arange(widths)) & 1
         else:
@@ -82,62 +75,60 @@ class BitWriter:
         return self
 
     def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append each value as so many zeros and a one."""
+        """Append each value ``v`` as ``v`` zeros and a one."""
         bits = np.zeros(int(values.sum()) + len(values), np.uint8)
         bits[np.cumsum(values + 1) - 1] = 1
         self._bits.append(bits)
         return self
 
     def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
-        """Append the bit patterns of numbers as 32-bit floats."""
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a set: the number of its members, and before each the number of those left out."""
+        """Append a subset of ``range(n)``: its size, then the gap before each member."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append Exp-Golomb codes of numbers >= 0, nothing for none.
+        """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        The order of the codes, the best one, comes first in 5 bits; then for all of them in unary how many bits each
-        has beyond the order; then these and as many more as the order says.
+        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the numbers of
+        extra bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
         """
         if not len(values):
             return self
         if values.max() >= _MAX_CODED:
             raise ValueError(
-                "The distances vary too much for their values to be stored; scale them or limit the domain."
+                f"Stored integers must be below 2**40, got {values.max():,}: the distances vary too much. "
+                "Scale the distances down or shrink the domain."
             )
-        orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # beyond them each adds a bit
+        orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # a higher order only adds bits
         order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
         extra = _extra_bits(values, order)
         self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
         return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
 
     def write_signed(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append Exp-Golomb codes of signed numbers: twice the absolute value, minus one if it is positive."""
+        """Append Exp-Golomb codes of signed integers: of ``2 * v - 1`` for positive ``v``, else of ``-2 * v``."""
         return self.write_coded(2 * np.abs(values) - (values > 0))
 
     @property
     def num_bits(self) -> int:
-        """How many bits there are so far."""
         return sum(map(len, self._bits))
 
     def to_bytes(self) -> bytes:
-        """All bits so far, the last byte filled up with zeros."""
+        """Return the written bits, padded with zeros to whole bytes."""
         return np.packbits(np.concatenate(self._bits), bitorder="little").tobytes()
 
 
 class BitReader:
-    """Reads integers back in the order in which they were written."""
+    """A reader of what :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
         self._at = 0
 
     def read(self, widths: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The next values, each of as many bits as its width says; raises ``ValueError`` past the end."""
         bits = self._take(int(widths.sum()))
         field, within = ragged_indices(widths)
         values = np.zeros(len(widths), np.int64)
@@ -145,11 +136,9 @@ class BitReader:
         return values
 
     def read_fixed_width(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
-        """The next values, all of one width; raises ``ValueError`` past the end."""
         return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
     def read_unary(self, num_values: int) -> Int[np.ndarray, "n"]:
-        """The next values, each as many zeros as it counts and a one; raises ``ValueError`` past the end."""
         ends = np.flatnonzero(self._bits[self._at :])[:num_values]
         if len(ends) < num_values:
             raise ValueError("the data end too early")
@@ -157,17 +146,16 @@ class BitReader:
         return np.diff(ends, prepend=-1) - 1
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
-        """The next numbers, written as 32-bit floats."""
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
-        """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
+        """Read a subset of ``range(size)`` as a mask; raises ``ValueError`` for members beyond it."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """The members of the next set, ascending; so what is read takes no more memory than they do."""
+        """Read the sorted members of a subset of ``range(size)``, in memory proportional to their number."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
@@ -177,7 +165,6 @@ class BitReader:
         return index
 
     def read_coded(self, num_values: int) -> Int[np.ndarray, "n"]:
-        """The next Exp-Golomb codes; raises ``ValueError`` past the end or where one is too large."""
         if not num_values:
             return np.zeros(0, np.int64)
         order = int(self.read_fixed_width(1, _ORDER_BITS)[0])
@@ -190,7 +177,6 @@ class BitReader:
         return values
 
     def read_signed(self, num_values: int) -> Int[np.ndarray, "n"]:
-        """The next signed numbers, as :meth:`read_coded`."""
         code = self.read_coded(num_values)
         return np.where(code % 2, (code + 1) // 2, -(code // 2))
 
@@ -202,35 +188,28 @@ class BitReader:
         return bits.astype(np.int64)
 
     def at_end(self) -> bool:
-        """Whether nothing but the padding of the last byte is left."""
+        """Return whether only zero padding of the last byte is left."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
 
 def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The numbers whose patterns as 32-bit floats are given, in double precision."""
+    """Convert bit patterns of 32-bit floats to double-precision numbers."""
     with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
         return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"]:
-    """Bits of ``values + 2**order`` beyond the order and the leading one."""
     return (np.frexp((values + (1 << order)).astype(float))[1] - 1 - order).astype(np.int64)
 
 
-# The tree that a bit stream begins with.
-#
-# Level by level from the root, for every node 1 bit (is it split?), then for every split node its axis in
-# ``ceil(log2(dim))`` bits.
-
-
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Bytes of the bit stream of so many leaves, of which the model and the proof keep so many bits."""
+    """Return the bytes of a body with this many leaves, if leaf data and proof take ``num_bits`` bits."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append a tree."""
+    """Append each level of a tree: a bit per node (split?), then split axes in ``ceil(log2(dim))`` bits each."""
     first, num_nodes = 0, 1
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)
@@ -239,7 +218,7 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
-    """The tree that comes next; raises ``ValueError`` if it is none."""
+    """Read a tree; raises ``ValueError`` if it is too deep or splits an unknown axis."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

@@ -1,4 +1,8 @@
-"""A box as queries know it, in 32-bit floats, and how large the tables of a query are. Nothing here needs JAX."""
+"""The domain in 32-bit floats and the sizes of lookup tables, which all readers of a PLR share; free of JAX.
+
+The *fraction bits* of a point along an axis are its position in units of ``2**-23`` of the domain's width; the
+highest of them identify its dyadic cell. A *slot* is a cell of a regular dyadic grid, a *block* one of a coarse grid.
+"""
 
 from enum import IntEnum
 from typing import Literal, TypeAlias, cast, get_args
@@ -11,19 +15,19 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells
 
-FRACTION_BITS = 23  # of a 32-bit float
+FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
-MIN_CLASS = 8
-_SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
-MOST_ROWS = 2**14  # of a class whose tables are of one shape
-MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
-_DEEP_BITS = 28  # of a point's place in all, beyond the classes above
-_PAGED_DEPTH = 13  # along an axis, so that blocks and the page of a deepest leaf stay small
+MIN_CLASS = 8  # smallest size class of a file, 256 bytes
+_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, bits of the flat table); MAX_FLAT_BITS for more leaves
+MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
+MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
+_DEEP_BITS = 28  # most fraction bits over all axes, beyond the classes above
+_PAGED_DEPTH = 13  # most splits along an axis with pages, so that blocks and pages stay small
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Bits of every block's own table: the deepest split below the block among the leaves it meets."""
+    """Return the bits along each axis that each block's own table needs to separate the leaves it meets."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -32,7 +36,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """How many pairs of a leaf and a block meet."""
+    """Return the number of overlapping pairs of leaf and block."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -41,7 +45,7 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """All pairs of a leaf and a block that meet: their indices, the leaf's first slot in the block, and how many."""
+    """Return overlapping pairs of leaf and block, with the leaf's first slot and number of slots in the block."""
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -52,7 +56,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """All pairs of a leaf and a block that meet: the leaf's index and the block's, along each axis."""
+    """Return the leaf's index and the block's position for all overlapping pairs of leaf and block."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -64,7 +68,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Integer points of many boxes: the box's index and the point, for each."""
+    """Enumerate the integer points of many boxes; return the box and the coordinates of each point."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -74,7 +78,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Up to so many bits, each along the axis with the most bits left."""
+    """Distribute at most ``most`` bits over the axes, each to the axis with the most bits left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -84,7 +88,6 @@ def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim
 def row_major(
     slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
 ) -> Int[np.ndarray, "n"]:
-    """Index of each slot in a table of ``2**bits`` slots along the axes."""
     index = np.zeros(len(slots), np.int64)
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
@@ -92,26 +95,22 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    """The smallest exponent of a power of two that is at least so many bytes."""
+    """Return a file's size class: the exponent, at least 8, of the smallest power of two that holds its bytes."""
     return max(MIN_CLASS, (num_bytes - 1).bit_length())
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
+    """Return how many leaves of at least ``least_bytes`` bytes fit into a file of the size class."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Bits of the flat table of a class that has room for so many leaves."""
+    """Return the bits of the flat table for a size class with room for this many leaves."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """How often a cell may be halved along one axis, for a class of files or for any.
-
-    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; trees that are to be deep, as of
-    leaf models with pages or for a proof, may go as far as pages do. Else the tables' size is bounded.
-    """
+    """Return how often a cell may be halved along one axis, in one size class or (None) in all."""
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -119,38 +118,37 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
+    """Return the most table entries for a file of this size; the limit bounds the memory that loading takes."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
-_FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}  # that 32-bit floats tell apart in a domain, or tables are wrong
-LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates are coarser than the tables
+# Fewest 32-bit floats along an axis of the domain, by type of the points; with fewer, tables are wrong.
+_FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}
+LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
 Corner: TypeAlias = Float[np.ndarray, "dim"]
-"""From where coordinates are counted."""
+"""Origin of coordinates."""
 
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
-"""What a query answers outside the domain.
-
-``"clamp"`` is the value at the nearest point of the domain, and how far that is.
-"""
+"""What a query returns outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
 
 
 def as_outside(outside: str) -> Outside:
-    """One of them, or ``ValueError``."""
     if outside not in get_args(Outside):
         raise ValueError(f"outside must be 'inf', 'clamp' or 'nan', got {shortened(outside)}.")
     return cast(Outside, outside)
 
 
 class Frame(IntEnum):
-    """Rows of a frame: the domain in 32-bit floats.
+    """Rows of a frame, the array that describes a domain in 32-bit floats.
 
-    ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
-    over its width. ``START`` is one minus ``LO_REST`` over the width: cells far from the origin so stay in place.
-    ``TOP`` is the largest share of the width that is told apart: with ``START`` it is below 2.
+    Attributes:
+        LO, HI: Corners, rounded outward.
+        LO_REST, HI_REST: Distances from ``LO`` and ``HI`` to the exact corners.
+        START, SCALE: ``1 - LO_REST / width`` and ``1 / width``.
+        TOP: Largest fraction of the width for which ``TOP + START`` stays below 2.
     """
 
     LO = 0
@@ -163,36 +161,33 @@ class Frame(IntEnum):
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it.
-
-    Raises:
-        ValueError: If 32-bit floats cannot hold the corners or the width.
-    """
+    """Return the domain's corners as 32-bit floats, rounded outward; ``ValueError`` if they do not fit."""
     if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
-        raise ValueError(f"The domain must be within {LARGEST:g}, and wider than its inverse, got {domain}.")
+        raise ValueError(
+            f"A domain's coordinates must be below {LARGEST:g} and its width above {1 / LARGEST:g}, got {domain}."
+        )
     return domain.in_single
 
 
 def is_far(domain: Box) -> bool:
-    """Whether a domain is far from the origin, along some axis."""
+    """Return whether an end of the domain is more than four times its width from the origin along some axis."""
     return bool((_largest_coordinates(domain) > _FAR * domain.width).any())
 
 
 def unresolved_types(domain: Box) -> tuple[str, ...]:
-    """Types of points that tables of a domain cannot answer, as it is too far from the origin."""
+    """Return the float types that are too coarse to tell points of the domain apart."""
     apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
     places = (domain.width / apart).min()
     return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
 
 
 def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
-    """Raises ``ValueError`` for points of a type that is not resolved."""
+    """Raise ``ValueError`` if points of this type are too coarse for the domain."""
     if str(dtype) in unresolved:
         also = " or enable jax_enable_x64," if unresolved == ("float32",) else ""
         raise ValueError(
-            f"The domain is so far from the origin that {dtype} points, or 32-bit tables, cannot tell places in it "
-            f"apart. Give NumPy's float64 points, outside of compiled functions,{also} or build it in coordinates "
-            "whose origin is near."
+            f"Points must resolve the domain, but {dtype} points, or 32-bit tables, are too coarse this far out. "
+            f"Pass NumPy float64 points outside of jit,{also} or build the PLR in coordinates with an origin nearby."
         )
 
 
@@ -201,14 +196,13 @@ def _largest_coordinates(domain: Box) -> Corner:
 
 
 def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"]:
-    """Numbers of 64 bits as sums of three of 32."""
+    """Split 64-bit numbers into three 32-bit floats that add up to them."""
     first = corners.astype(np.float32)
     second = (corners - first).astype(np.float32)
     return np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1)
 
 
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
-    """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)
     frame = np.empty((len(Frame), domain.dim), np.float32)
     frame[Frame.LO], frame[Frame.HI] = lo, hi
@@ -221,17 +215,16 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """The lower corner of a domain that is far from the origin along some axis; else None."""
+    """Return the lower corner of a far domain (see :func:`is_far`), the origin of its points; else None."""
     return domain.lo if is_far(domain) else None
 
 
 def folding_numbers(
     folding: Folding, origin: Corner
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """A folding's center in 32-bit floats with what they leave of it, and the corners of the box of folded points.
+    """Return a folding's center relative to an origin, with its rounding error, and the corners of the folded box.
 
-    The center is counted from an origin. The corners are rounded inward, as what is clipped to others would still be
-    outside, and infinite along periodic axes.
+    Corners are rounded inward, so that points clipped to them are inside, and infinite along periodic axes.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
@@ -247,6 +240,5 @@ def folding_numbers(
 
 
 def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """For each mirror its pivot, and the axes that it reverses."""
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return tuple(zip(folding.pivots, reversed_axes, strict=True))

@@ -1,6 +1,7 @@
-"""A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function.
+"""Evaluation of PLRs in JAX, for one PLR or for a team's.
 
-Of one PLR or of a team's, compiled.
+A query folds and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and evaluates its
+function.
 """
 
 from dataclasses import dataclass, replace
@@ -16,16 +17,15 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie
 
-_EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
-_SHIFTS = np.uint32(WORD_BITS - 1)  # a mask, which tells the compiler that no shift is by 32 bits or more
-_ENDS_IN_DOUBLE = 2.0**-44
-"""How well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly."""
+_EXPONENT = np.uint32(0xFF800000)  # sign and exponent of a 32-bit float
+_SHIFTS = np.uint32(WORD_BITS - 1)  # a mask that tells the compiler that no shift is by 32 bits or more
+_ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables, for 64-bit points
 
 
 def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float[Array, "*batch"]:
-    """Value of the leaf's function at each point; outside the closed domain what is asked for, NaN for NaN.
+    """Return the leaf's value at each point; NaN for NaN, and outside the closed domain as ``outside`` says.
 
-    Raises ``ValueError`` for points of another shape or type; what is checked does not depend on their values.
+    Raises ``ValueError`` for points of a wrong shape or type; the check does not depend on their values.
     """
     x = _as_float_points(tables, x)
     if outside == "clamp":
@@ -43,11 +43,10 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float
 
 
 def _as_float_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
-    """Points in 32 or 64 bits, which must resolve the domain."""
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
-        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}; convert them to floats.")
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
     if tables.unresolved:
         require_resolved(x.dtype, tables.unresolved)
@@ -57,10 +56,7 @@ def _as_float_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 def bounds_of_tables(
     tables: Tables, band: Float[Array, "2 rows"], straight: Float[Array, "_"] | None, x: Array
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Lower and upper bounds of the distance at each point: what is answered, and the band of its leaf, or of all.
-
-    Both are without_fusion outward; the lower one is at least 0.
-    """
+    """Return proven lower (at least 0) and upper bounds of the distance: value plus band, rounded outward."""
     value = evaluate_tables(tables, x)
     if band.shape[1] == 1:
         below, above = band[0, 0], band[1, 0]
@@ -86,7 +82,7 @@ def bounds_of_tables(
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
-    """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
+    """Return the source of each point's leaf; NaN outside the closed domain and for NaN."""
     x = jax.lax.stop_gradient(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
     numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
@@ -96,10 +92,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
-
-    Points outside the domain, and NaN, get some leaf.
-    """
+    """Return the leaf of each point, up to rounding across borders; arbitrary outside the domain and for NaN."""
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
@@ -107,16 +100,12 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
 
 def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Which of the ``numbers`` are for each point: those of its slot, if there are pages, else those of its leaf.
-
-    The points are wrapped.
-    """
+    """Return the row of each wrapped point's leaf parameters: its slot if there are pages, else its leaf."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
     index = _join_bits(fractions, *tables.bits)
     if tables.pages is not None:
-        # Slot of points in given blocks.
         mask, right, start = tables.pages.bits
         word = gather(tables.pages.words, index)
         return (word >> (start[0] & _SHIFTS)) + (word & _join_bits(fractions, mask, right))
@@ -128,7 +117,7 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
 def _index_in_block(
     blocks: Blocks, fractions: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
 ) -> UInt32[Array, "*batch"]:
-    """Index into ``leaf_of_slot`` of points in given blocks."""
+    """Return the index into ``leaf_of_slot`` for points in the given blocks."""
     index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -146,7 +135,7 @@ def _index_in_block(
 def _fold(
     window: FoldedDomain, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch dim"]:
-    """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
+    """Fold points; points ``outside`` the domain are sent to the center, without gradient."""
     axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
     z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -156,18 +145,18 @@ def _fold(
         is_behind = z[pivot] < 0
         for axis in reversed_axes:
             z[axis] = jnp.where(is_behind, -z[axis], z[axis])
-    lo, hi = window.corners.astype(x.dtype)  # only rounding puts coordinates outside
+    lo, hi = window.corners.astype(x.dtype)  # only rounding can put coordinates outside
     columns = [
         straight_through(z[axis], jnp.clip(jax.lax.stop_gradient(z[axis]), lo[axis], hi[axis])) for axis in axes
     ]
-    # Computed once: a compiler would repeat all this wherever a coordinate is read.
+    # The barrier keeps XLA from repeating the folding wherever a coordinate is read.
     return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 def outside_domain(
     tables: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Whether each wrapped point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
+    """Return whether wrapped points are outside the closed domain, and the answers there: ``inf``, NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):
@@ -175,7 +164,7 @@ def outside_domain(
         answer += jnp.abs(above)  # NaN if any coordinate is
         if axis in tables.periodic:
             outside |= jnp.isinf(above)
-        elif x.dtype == jnp.float64:  # which can tell the true corners from the without_fusion ones
+        elif x.dtype == jnp.float64:  # can distinguish exact from rounded corners
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
         else:
@@ -186,7 +175,7 @@ def outside_domain(
 def _clamp(
     window: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Float[Array, "*batch dim"], Float[Array, "*#batch"]]:
-    """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
+    """Return the nearest point of the domain and the distance to it; points that are not finite stay."""
     is_finite = jnp.isfinite(x).all(axis=-1)
     nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
     for axis in range(window.dim):
@@ -194,7 +183,7 @@ def _clamp(
             continue
         frame, along = window.frame[:, axis].astype(x.dtype), nearest[axis]
         lo, hi = frame[Frame.LO], frame[Frame.HI]
-        if x.dtype == jnp.float64:  # the outermost coordinates that ``outside_domain`` calls inside
+        if x.dtype == jnp.float64:  # the outermost coordinates that ``outside_domain`` accepts
             lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
             lo = jnp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], jnp.nextafter(lo, jnp.inf), lo)
             hi = jnp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], jnp.nextafter(hi, -jnp.inf), hi)
@@ -205,7 +194,7 @@ def _clamp(
 
 
 def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
-    """Length of vectors of any finite numbers, given axis by axis; of slope 0 at 0."""
+    """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
     if not along:
         return jnp.zeros(())
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, along)))
@@ -215,12 +204,12 @@ def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
 
 
 def _wrap(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Points straight_through by whole periods to between the ends of periodic axes, the upper of which becomes the lower.
+    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one.
 
-    A compiler may round the product and the difference at once in one part of a query and apart in another. That
-    moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
+    A compiler may fuse product and difference in one part of a query but not in another. That moves a point by one
+    rounding, but never from one end to the other, as the number of periods does not depend on it.
     """
-    columns = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
+    columns = [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
         along, frame = jax.lax.stop_gradient(columns[axis]), tables.frame[:, axis].astype(x.dtype)
         lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
@@ -234,13 +223,13 @@ def _wrap(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch
 def _value(
     tables: Tables, row: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """Value of the leaf at each point; if that is ``outside`` the domain, any number will do."""
+    """Return the leaf's value at each point; points ``outside`` the domain get an arbitrary number."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_cell_relative:
-            # From 0 to 1 in the interval of that number, or beyond by as much as the lookup rounds a point across a
-            # border. Products and the difference are exact, so both leaves at a face see the same point.
+            # Local coordinate, from 0 to 1, or slightly beyond where the lookup rounds across a border. Products and
+            # the difference are exact, so both leaves at a face see the same point.
             u = without_fusion(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
             number = jax.lax.bitcast_convert_type(numbers[axis].astype(jnp.float32), jnp.uint32)
             count = jax.lax.bitcast_convert_type(number & _EXPONENT, jnp.float32).astype(u.dtype)
@@ -252,7 +241,7 @@ def _value(
 
 @dataclass(frozen=True)
 class _Unfused:
-    """Numbers whose products are without_fusion before they are added, as the format says."""
+    """Numbers whose products are rounded before they are added, as the file format requires."""
 
     value: Float[Array, "*batch"]
 
@@ -267,7 +256,6 @@ class _Unfused:
 
 
 def _leaf_parameters(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dtype) -> list[Float[Array, "*batch"]]:
-    """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
     if tables.leaf_parameters.ndim == 2:
         return [
             gather(tables.leaf_parameters[which], row).astype(dtype) for which in range(len(tables.leaf_parameters))
@@ -281,7 +269,7 @@ def _leaf_parameters(tables: Tables, row: UInt32[Array, "*batch"], dtype: np.dty
 
 @jax.custom_jvp
 def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The coordinates, but zero outside the domain where differentiated: zero times a gradient at inf is NaN."""
+    """Return ``t``, but differentiate as if it were 0 outside the domain, where ``0 * inf`` would give NaN."""
     return t
 
 
@@ -293,7 +281,7 @@ def _zero_tangent(primals, tangents):
 
 @jax.custom_jvp
 def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The square root, whose slope at zero, at a source itself, counts as zero."""
+    """Return the square root; its derivative at 0, which is at a source, counts as 0."""
     return jnp.sqrt(square)
 
 
@@ -304,18 +292,18 @@ def _root_tangent(primals, tangents):
 
 
 def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
-    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
+    """Return a point's position along an axis in units of ``2**-23`` of the domain's width, as an integer of 23 bits.
 
-    Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
-    upper edge, which belongs to the last cell.
+    These are the low bits of ``1 + position`` as a 32-bit float, with other bits above them. The upper edge gets the
+    largest value, as it belongs to the last cell.
     """
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
     share = (x[..., axis] - lo) * scale
-    # The bound stands before the sum, or a compiler might round product and sum at once in one part of a query and
-    # apart in another, and so put a point beside a border into a block of one cell and a slot of the other.
-    # Points that rounding put below the lower edge would be beside the upper one.
+    # The bound separates product and sum. If a compiler fused them in only one part of a query, a point near a border
+    # could get the block of one cell and the slot of the other.
+    # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
     return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
 
@@ -323,23 +311,23 @@ def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> 
 def _join_bits(
     fractions: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
 ) -> UInt32[Array, "*batch"]:
-    """Some bits of a point's place along each axis, side by side."""
+    """Concatenate the selected fraction bits of all axes to one index."""
     return reduce(
         jnp.bitwise_or, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)]
     )
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Row of the numbers of points, level by level.
+    """Return each point's row of leaf parameters by descending a trie level by level.
 
-    Each level is to be a loop of its own, in which reads of many points are under way at once. All in one, a point's
-    reads wait for one another, and few other points are; that takes far longer. What is behind a condition, XLA does
-    not put into one loop with the rest. The condition always holds, which XLA cannot know.
+    XLA should compile each level to a loop of its own, so that reads of many points overlap; in one fused loop the
+    reads of a point wait for one another. A condition keeps XLA from fusing. It always holds, but XLA cannot know
+    that.
     """
 
     def descend(entry: UInt32[Array, "*batch"], bits: UInt32[Array, "2 dim"]) -> UInt32[Array, "*batch"]:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
-        is_page = jnp.uint32(0) - (entry & np.uint32(1))  # all bits or none
+        is_page = jnp.uint32(0) - (entry & np.uint32(1))  # all ones or zero
         return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
 
     entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
@@ -351,13 +339,13 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
 
 
 def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
-    """Entries of a table at indices that it has."""
+    """Return ``table[index]`` without a bounds check."""
     return table.at[index].get(mode="promise_in_bounds")
 
 
 @jax.custom_jvp
 def straight_through(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """What numbers become that computing moves a little, or by whole periods; differentiated as if they stayed."""
+    """Return ``to``, but differentiate as if the result were ``x`` (a straight-through estimator)."""
     return to
 
 
@@ -367,76 +355,56 @@ def _straight_through_tangent(primals, tangents):
 
 
 def without_fusion(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
+    """Return a product or sum that the compiler cannot fuse with later operations."""
     constant = jax.lax.stop_gradient(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
 
 
-# What is compiled, and the points that it is given.
-
-
 find_leaves = jax.jit(lookup)
-"""The leaf of each point, as its index."""
-
-evaluate_points = jax.jit(evaluate_tables)
-"""Values at points; ``outside`` would add a tenth to what a call takes."""
-
+evaluate_points = jax.jit(evaluate_tables)  # separate, as a static argument adds a tenth to the time of a call
 evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnames="outside")
-"""The same with another answer outside the domain."""
-
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
 
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """Placing points on the host: around periodic axes, and from a corner far from the origin.
-
-    Attributes:
-        domain: The domain, if it has a periodic axis; else None.
-        corner: The corner from which the tables count coordinates; None for the origin.
-    """
+    """A step on the host, in 64 bits: wrap points around periodic axes, then subtract a far domain's corner."""
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        """The points as the tables want them."""
         if self.domain is not None:
             x = self.domain.wrapped(x)
         return x if self.corner is None else x - self.corner
 
 
-# A team's PLRs as one function: a whole batch of joint configurations in a few compiled calls.
-
-
-# The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
-# are worth their own, as JAX then computes at once instead of handing the work to another thread.
+# Compiled batch sizes. Padding is cheap while a call's overhead dominates; tiny sizes avoid a thread switch in JAX.
 _SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
-_CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
+_CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps with copies between NumPy and JAX
 
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """The tables of several PLRs, one a robot, and how some want their points placed before they are without_fusion.
-
-    See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
-    """
+    """A team's PLRs as one function of joint configurations; robots with a band get its lower bound."""
 
     tables: tuple[Tables, ...]
     bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]
     placements: tuple[PointPlacement | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
+        """Return each robot's distance; its PLR sees the leading coordinates of the robot's configuration."""
         shape = q.shape
         if len(shape) != 3 or shape[1] != len(self.tables):
             raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
         for i, table in enumerate(self.tables):
             if table.dim > shape[2]:
-                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
+                raise ValueError(
+                    f"The PLR of robot {i} needs {table.dim} coordinates, got configurations of {shape[2]}."
+                )
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)
-        # All calls are under way before the first result is waited for.
+        # Dispatch all calls before waiting for the first result.
         answers = [_evaluate(self.tables, self.bands, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
         for begin, answer in zip(starts, answers, strict=True):
             columns = distances[:, begin : begin + _CHUNK]
@@ -445,7 +413,7 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+        """Pad a batch to a compiled size, in the precision of JAX's floats, and place its points."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
@@ -461,7 +429,7 @@ def _evaluate(
     bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...],
     q: Float[Array, "n robots dof"],
 ) -> tuple[Float[Array, "n"], ...]:
-    """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
+    """Return distances robot by robot: stacked in one array, XLA would compute them in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
         evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]

@@ -1,22 +1,16 @@
-"""Lookup tables: from a point to its leaf by arithmetic, not by descending a tree.
+"""Lookup tables that map a point to its leaf by bit arithmetic, without descending a tree.
 
-Cells are dyadic, so a point's place along an axis, as a binary fraction of the domain's width, begins with the bits
-of its cell's position: its *slot*. A *flat* table has one entry a slot of the finest grid, ``2**sum(bits)`` in all,
-with ``bits[a]`` the deepest split along axis ``a``. A deep tree would make that table huge although only a few of its
-leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *blocks*, and each block has a little table
-of its own, just as fine along each axis as its own leaves need. Where a leaf model has deep trees, blocks of small
-PLRs have *pages* instead (see below), whatever their depth: they are read about as fast as a flat table.
+A point's slot is given by the highest fraction bits of its coordinates (see ``frame.py``). There are three layouts:
 
-How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
-PLRs of one class and leaf model share compiled code: how many leaves there is room for and, by these, how many slots
-there are. Beyond 16,384 leaves (planes of 32 KB, tied ones of 16, cones of 8) there is room for the next power of
-two, and slots as many where leaves need more than the class has. What is left is padding, which is never read.
+-   A *flat* table has one entry for each slot of the finest grid.
+-   *Blocks*, for deep trees: each cell of a coarse grid has its own table, as fine as its leaves need. Used above
+    ``2**MAX_FLAT_BITS`` slots.
+-   *Pages*, for small PLRs of leaf models with deep trees: as blocks, but with leaf parameters stored by slot, so
+    that a query needs no more reads than with a flat table.
 
-In the plane and on a line leaves of small classes need no more slots than the class of a budget has. There are two
-exceptions, for which their class may have too few: planes without a budget may be as deep as if they had one of
-32 KB, however small their file, in the plane up to 9 halvings along an axis; and what is certified while it grows may
-be as deep as if it had pages. Pages nearly always fit the slots of their class, four a leaf that
-it has room for, as blocks may be finer in four steps; else 65,536 slots, and else the leaves get no pages.
+Tables are padded to the size class of the file (see ``byte_class``), so that PLRs of one class and leaf model share
+compiled code. Above 16,384 leaves, room is instead for the next power of two of leaves. If leaves need more slots
+than their class has, the table grows by powers of two.
 """
 
 import math
@@ -60,13 +54,10 @@ from plr_jax.plr.tree import Cells
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """The entries of several PLRs, and where the search of each point starts.
+    """Tables of several PLRs in one array, ``entries``: of rows, of first pages, of other pages; see ``_stack.py``.
 
-    Attributes:
-        entries: Of all rows, all first pages, all others.
-        bits: Of each level, which bits of a point's place along each axis tell entries of a page apart, as a mask,
-            and how far right they belong in the index.
-        start: Where the first page begins; of each point's PLR, or of the first PLR.
+    ``bits`` are each level's mask of fraction bits and right shift; ``start`` is the first page of one PLR, or each
+    point's.
     """
 
     entries: UInt32[Array, "entries"]
@@ -76,15 +67,10 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """An array that differs from point to point: as it were one of several, which one ``start`` says.
+    """A stand-in for an array that differs from point to point: a scalar index gives one value per point.
 
-    It is indexed as an array is, up to numbers, of which there is one a point.
-
-    Attributes:
-        flat: The several arrays, one behind the other.
-        shape: Of one of them.
-        start: Where in ``flat`` each point's begins.
-        dtype: The type of numbers that are read.
+    Each point's array has the same ``shape`` and begins at ``start`` in ``flat``; values are cast to ``dtype`` when
+    read.
     """
 
     flat: Array
@@ -93,7 +79,6 @@ class PerPointTable:
     dtype: Any
 
     def astype(self, dtype: Any) -> "PerPointTable":
-        """The same, of numbers of another type."""
         return replace(self, dtype=dtype)
 
     def __iter__(self) -> Iterator[Any]:
@@ -118,12 +103,9 @@ class FoldedDomain:
     """A domain whose points are folded before their leaves are looked up.
 
     Attributes:
-        frame: The domain, as ``Tables.frame`` is one.
-        center: The center in 32-bit floats, and what they leave of it.
-        corners: Of the box of folded points, rounded inward; infinite along periodic axes.
-        axes: The axes of folded coordinates, one a row; None if they are those of the domain.
-        mirrors: For each mirror its pivot, and the axes that it reverses.
-        periodic: The periodic axes.
+        center, corners: See :func:`folding_numbers`.
+        axes: Folded axes, one per row; None if they are the domain's.
+        mirrors: Pivot and reversed axes of each mirror.
     """
 
     frame: Float[Array, "7 dim"] | PerPointTable
@@ -135,11 +117,7 @@ class FoldedDomain:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.frame.shape[1]
-
-
-# Two-level tables of any size: each coarse block has a little table of its own, just as fine as its leaves need.
 
 
 _MAX_BLOCK_BITS = 16
@@ -148,12 +126,15 @@ _MAX_BLOCK_BITS = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The coarse level of a two-level table; ``None`` in its place means one flat table.
+    """The coarse level of a two-level table.
 
-    A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
-    each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
-    first word has no room come in further words. One word is read with one gather, which is what a query costs.
-    Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
+    A block's *word* holds, from its lowest bit, the bits that the block's own table resolves along each axis,
+    ``width`` bits per axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather,
+    the main cost of a query. Axes that do not fit into the first word come in further words.
+
+    Attributes:
+        shift: Fraction bits along each axis below the block.
+        axes: Number of axes that each array of words describes.
     """
 
     words: tuple[UInt32[Array, "blocks"], ...]
@@ -165,7 +146,7 @@ class Blocks:
 def pack_blocks(
     shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
 ) -> Blocks:
-    """The words of all blocks; the first has the offset above the axes for which there is room."""
+    """Pack the shapes and offsets of all blocks' own tables into words."""
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -181,7 +162,7 @@ def pack_blocks(
 
 
 def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Coarse bits along each axis: those with which words and blocks' own tables take the fewest bytes."""
+    """Return the bits of blocks along each axis that minimize the bytes of words and of blocks' own tables."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
@@ -205,10 +186,9 @@ def leaves_of_slots(
     shape: Int[np.ndarray, "blocks dim"],
     offset: Int[np.ndarray, "blocks_plus_one"],
 ) -> UInt32[np.ndarray, "slots"]:
-    """The leaf of every slot of the tables of all blocks.
+    """Return the leaf of every slot of all blocks' own tables.
 
-    Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
-    there to the start of the next, whichever leaf's that is.
+    A leaf is written at the first slot of each of its runs along the last axis, and repeated up to the next run.
     """
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
@@ -221,31 +201,24 @@ def leaves_of_slots(
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
 
 
-# Pages: two-level tables of small PLRs with deep trees, which cost a query no more reads than a flat table.
-#
-# The first slots are the leaves themselves, one each. A coarse block that one leaf covers has that leaf's slot; most
-# points are in such blocks. Any other has a *page*: a slot for each cell of a grid just as fine along each axis as
-# the block's own leaves need. A query reads the block's *word* and then, at the slot, the leaf's numbers, which are
-# kept slot by slot: a flat table reads as often, a slot's leaf and the leaf's numbers.
-#
-# A word holds a mask of those bits of a point's place within the block that the page tells apart, and above them the
-# page's first slot. So the slot is that start plus the masked bits, without a shift for each axis. The lower bits
-# along an axis that a mask leaves out are gaps between the slots of its page, and other pages lie in these gaps.
-
-
-_BLOCK_BITS = (10, 12, 14, 16)  # few, as words of each number are compiled for; the fewest are read the fastest
-_MOST_PAIRS = 2**20
+_BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
+_MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """What leads from a block to a slot.
+    """The coarse level of a table with pages.
+
+    The first slots are the leaves themselves. A block that one leaf covers points to that leaf's slot; most blocks
+    do. Any other block has a *page*: slots for a grid as fine as its leaves need. The slot of a point is the page's
+    start plus the masked fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill
+    them.
 
     Attributes:
-        words: A block's mask and, above it, the first slot of its page.
-        bits: Which bits of a point's place along each axis tell slots of a block apart, as a mask, how far right they
-            belong in the index, and at which bit of a word its start is (the same for all axes).
+        words: For each block, a mask of the fraction bits that index its page and, above it, the page's first slot.
+        bits: For each axis, a mask of the fraction bits below the block, their right shift in an index, and the bit
+            of a word at which the start begins (equal for all axes).
     """
 
     words: UInt32[Array, "blocks"]
@@ -255,18 +228,19 @@ class Pages:
 def build_pages(
     cells: Cells, most_slots: int
 ) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
-    """Pages on the coarsest blocks with which so many slots suffice; None if there are none.
+    """Build pages on the coarsest blocks for which ``most_slots`` slots suffice; return None if no blocks do.
 
-    With them the bits of blocks along each axis, and the leaf of every slot.
+    Returns:
+        The pages, the bits of blocks along each axis, and the leaf of every slot.
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
         block_bits = spread_bits(bits, most_bits)
         if num_pairs(cells, block_bits) > _MOST_PAIRS:
             break  # finer blocks meet more leaves
-        # Words have room for a mask of a page and a start, and no bits of a place belong farther left.
+        # Skip blocks whose words cannot hold mask and start, or whose fraction bits would need a left shift.
         page_bits = bits - block_bits
-        below = np.cumsum(page_bits[::-1])[::-1] - page_bits  # of all later axes, in an index
+        below = np.cumsum(page_bits[::-1])[::-1] - page_bits  # index bits of all later axes
         right_of_place = FRACTION_BITS - bits - below
         if page_bits.sum() + most_slots.bit_length() > WORD_BITS or (right_of_place < 0).any():
             continue
@@ -276,7 +250,6 @@ def build_pages(
         start, num_slots = _place_pages(shape, page_bits, below, len(cells))
         if num_slots > most_slots:
             continue
-        # Words of all blocks, and leaves of all slots.
         leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
         alone = ~shape[block].any(axis=1)
         start[block[alone]] = leaf[alone]
@@ -297,11 +270,11 @@ def build_pages(
 def _place_pages(
     shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """First slot of every block's page, from a given one on, and where the last page ends; 0 of a block without one.
+    """Return the first slot of every block's page (0 if it has none) and the end of the last page.
 
-    The largest come first, those of one shape together. They take the smallest room that holds one, else a new one of
-    the finest grid: all of it, if there are as many; else it is halved for one, along one axis after another, into
-    every other slot, until the room has the page's shape.
+    A buddy allocator, interleaved: pages are placed by decreasing size, equal shapes together. Each takes the
+    smallest free room that holds it, else a new room of the finest grid. A room that is too large is halved along one
+    axis after another, each half taking every other slot, until it has the page's shape.
     """
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], list[int]] = {}
@@ -316,7 +289,7 @@ def _place_pages(
             if room is None:
                 room, end = finest, end + (1 << sum(finest))
                 rooms.setdefault(room, []).append(end - (1 << sum(finest)))
-            # Beside the first page, the others of a room begin as often along each axis as that is wider.
+            # Offsets of all pages that fit into one room.
             beside = np.zeros(1, np.int64)
             for axis, wanted in enumerate(page):
                 step = 1 << int(below[axis] + page_bits[axis] - room[axis])
@@ -336,35 +309,28 @@ def _place_pages(
     return start, end
 
 
+# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
-_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
+_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """All that a query reads. Arrays are padded to few sizes, so PLRs of one class share compiled code.
+    """Arrays that a query reads, padded to few sizes so that PLRs of one size class share compiled code.
 
-    They are few, because every array adds to the cost of a call. All indices are unsigned: JAX counts a signed one
-    from the end if it is negative, which takes time.
+    Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
 
     Attributes:
-        frame: One row a quantity, see :class:`Frame`; one column an axis.
-        bits: Which bits of a point's place along each axis are its slot (flat table) or its block (two levels), as a
-            mask, and how far right they belong in the index.
-        blocks: Coarse level of a two-level table, or None.
-        pages: Coarse level of a table with pages, or None; without either it is flat.
-        leaf_of_slot: Leaf of each slot.
-        leaf_parameters: What the leaf model reads of each leaf, or of each slot of a table with pages. Small tables have one
-            row a number, which takes the least arithmetic, and so have pages, as most of their slots are hardly ever
-            read. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits for a
-            cache line or two and not for one a number.
-        leaf: The leaf model, whose ``value`` makes a value of them.
-        periodic: The periodic axes, around which points are wrapped.
-        folding: How points are folded before all this; None if they are not.
-        trie: What leads from a point's place to a row of the numbers, in stacks of many PLRs; then none of the others
-            is read.
-        unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
+        frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
+        bits: For each axis, a mask of the fraction bits that make the slot (flat table) or the block, and their right
+            shift in the index.
+        blocks, pages: Coarse level of a two-level table; both are None for a flat table.
+        leaf_parameters: Numbers that the leaf model evaluates, for each leaf or, with pages, for each slot. Small
+            tables have one row per number, which takes the least arithmetic; large ones concatenate each leaf's
+            numbers, which takes fewer cache lines.
+        trie: Replaces all lookup tables in stacks of many PLRs.
+        unresolved: Float types that are too coarse for the domain; see :func:`unresolved_types`.
     """
 
     frame: Float[Array, "7 dim"] | PerPointTable
@@ -381,11 +347,10 @@ class Tables:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """The same, of points that are folded, and counted from an origin."""
+        """Return tables for points that are relative to ``origin`` and are folded first."""
         if folding is None:
             return self
         domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
@@ -403,16 +368,13 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Tables of a partition whose leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
-
-    The size of the file fixes that of the tables and bounds it: raises ``ValueError`` if the leaves are too deep.
-    """
+    """Build lookup tables; raises ``ValueError`` if leaves are too deep for a file of ``num_bytes`` bytes."""
     of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
-    # Large tables are not padded to what the class may need at the most.
+    # Large tables are padded to their own leaves, not to those of the class.
     rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
     numbers, bits, blocks, paged = numbers.astype(np.float32), cells.depth.max(axis=0), None, None
-    # 1. Pages, with room for so many slots.
+    # 1. Try pages.
     if leaf.has_deep_trees and rows <= MOST_ROWS:
         slots = max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows)
         if (paged := build_pages(cells, slots)) is None:
@@ -421,7 +383,7 @@ def build_tables(
         pages, top, leaf_of_slot = paged
         leaf_of_slot = leaf_of_slot.astype(np.uint16)
         of_leaves = np.ascontiguousarray(padded(numbers[leaf_of_slot], slots).T)
-    # 2. A flat table, or blocks.
+    # 2. Else build a flat table, or blocks.
     else:
         pages, flat = None, bits.sum() <= MAX_FLAT_BITS
         block_bits = 0 * bits if flat else choose_block_bits(cells, bits, max_entries(num_bytes))
@@ -433,7 +395,7 @@ def build_tables(
         top = bits if flat else block_bits
         blocks = None if flat else pack_blocks(shape, offset, FRACTION_BITS - top)
         of_leaves = arrange_parameters(padded(numbers, rows))
-    # An index is made of the first bits along each axis of a point's place.
+    # Select the highest fraction bits along each axis.
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
         frame=jax.device_put(frame_of(domain)),
@@ -451,5 +413,5 @@ def build_tables(
 def arrange_parameters(
     numbers: Float[np.ndarray, "rows count"],
 ) -> Float[np.ndarray, "count rows"] | Float[np.ndarray, "numbers"]:
-    """Numbers of leaves as :class:`Tables` has them: one row a number, of large tables a leaf's side by side."""
+    """Arrange leaf parameters as in :class:`Tables`: columns for small tables, concatenated rows for large ones."""
     return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)

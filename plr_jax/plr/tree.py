@@ -1,4 +1,4 @@
-"""Dyadic cells: the nodes of a binary space partition that halves one axis at a time; and their tree."""
+"""Dyadic cells of a binary space partition, and the tree whose leaves are such cells."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -12,20 +12,16 @@ from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
 
 PLACING = 2.0**-21
-"""How far beside its cell, in widths of the domain, a query may place a point, as it computes in 32 bits."""
+"""How far outside its cell a 32-bit query may place a point, as a fraction of the domain's width."""
 
 
 class Rows:
-    """Base of a dataclass whose columns, arrays or rows themselves, are of equal length.
-
-    Fields of other types are what all rows share.
-    """
+    """A dataclass base whose array fields are columns, indexed row by row; other fields are shared by all rows."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
 
     def append(self, *others: Self) -> Self:
-        """These rows, followed by others."""
         columns = {}
         for name, column in self._columns().items():
             parts = [getattr(other, name) for other in others]
@@ -39,14 +35,14 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """A batch of dyadic cells of one domain.
+    """A batch of dyadic cells of a domain ``[lo, hi]``: boxes that repeated halving along single axes produces.
 
-    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth`` of the domain
-    ``[lo, hi]``, so a partition is exact in integers and independent of the domain's units.
+    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth``. So a partition is
+    exact in integers and independent of the domain's units.
 
     Attributes:
         depth: Number of splits along each axis.
-        position: Index of the cell among the ``2**depth`` cells of its size, along each axis.
+        position: Index of the cell along each axis, from 0 to ``2**depth - 1``.
     """
 
     depth: Int[np.ndarray, "cells dim"]
@@ -54,7 +50,7 @@ class Cells(Rows):
 
     @staticmethod
     def root(dim: int) -> "Cells":
-        """The one cell that covers the whole domain."""
+        """Return a batch of one cell, which covers the whole domain."""
         return Cells(np.zeros((1, dim), np.int64), np.zeros((1, dim), np.int64))
 
     def __len__(self) -> int:
@@ -62,25 +58,22 @@ class Cells(Rows):
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.depth.shape[1]
 
     def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Lower and upper corners of the cells in the units of the domain."""
         size = np.ldexp(1.0, -self.depth)
         return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Corners of boxes that hold all points for which a query may ask a cell, which places points in 32 bits."""
+        """Return boxes that contain every point a 32-bit query may assign to each cell."""
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
     def longest_axis(self, domain: Box) -> Int[np.ndarray, "cells"]:
-        """The axis along which each cell is widest, the first of equals, in the units of the domain."""
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Points of the domain at the local coordinates ``u`` (``[-1, 1]`` spans a cell) of every cell."""
+        """Map local coordinates ``u``, where ``[-1, 1]`` spans a cell, to points of the domain in every cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow where the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -89,15 +82,14 @@ class Cells(Rows):
         return x
 
     def hashes(self) -> UInt64[np.ndarray, "cells"]:
-        """A hash of each cell."""
-        numbers = (np.int64(1) << self.depth) + self.position  # 1 for the whole, 2 and 3 for halves, and so on
+        numbers = (np.int64(1) << self.depth) + self.position  # heap order: 1 is the whole, 2 and 3 its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
             total = hash64(total + along.astype(np.uint64))
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
-        """Halve each cell along its axis: ``2 * cells`` children, a cell's two side by side, lower first."""
+        """Halve each cell along its axis; the two children of a cell are adjacent, the lower one first."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         depth = np.repeat(self.depth + halved, 2, axis=0)
         position = np.repeat(self.position << halved, 2, axis=0)
@@ -105,34 +97,30 @@ class Cells(Rows):
         return Cells(depth, position)
 
     def halves(self, axis: Int[np.ndarray, "cells"], is_upper: Bool[np.ndarray, "cells"]) -> "Cells":
-        """The lower or the upper half of each cell along its axis."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
 
 
 def grown_domain(domain: Box) -> Box:
-    """The box that holds all points for which a query may ask a domain."""
+    """Return the box that contains every point a 32-bit query may assign to the domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
 
 
-# The tree over a partition's leaves.
-
-
-MAX_DEPTH = 60  # a leaf's path, one bit a split, fits a 64-bit integer
+MAX_DEPTH = 60  # a leaf's path from the root, one bit per split, fits a 64-bit integer
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The nodes of a tree, level by level from the root, left to right in each level.
+    """A binary tree of cells, in level order from the root, left to right in each level.
 
     Attributes:
-        cells: Cells of the nodes.
-        axis: The axis along which each node is split, 0 for a leaf.
-        child: The lower child of each node, which the upper one follows; -1 for a leaf.
-        node_of_leaf: Nodes that are leaves, in the order of the tree's traversal.
-        splits: Nodes that are split, for each level.
-        order: For each leaf in this order, its index among the cells that the tree was made for.
+        cells: Cell of each node.
+        axis: Axis along which each node is split, 0 for a leaf.
+        child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
+        node_of_leaf: Node of each leaf, in left-to-right traversal order.
+        splits: Split nodes of each level.
+        order: For each leaf in traversal order, its index among the cells that :func:`tree_of` was given.
     """
 
     cells: Cells
@@ -144,34 +132,29 @@ class Tree:
 
     @cached_property
     def leaves(self) -> Cells:
-        """Cells of the leaves, in the order of the tree's traversal."""
         return self.cells[self.node_of_leaf]
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Which leaf a node is, in the order of the tree's traversal; -1 if none."""
+        """Traversal index of each node that is a leaf, -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
 
     def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
-        """Both halves of some nodes that are split, side by side."""
+        """Return both children of each split node, adjacent to each other."""
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
 def tree_of(cells: Cells) -> Tree:
-    """The tree whose leaves are the given cells, in any order.
-
-    A node's cell can be halved along every axis along which all its leaves are narrower than itself; where there
-    are several, any gives a tree of the same leaves, and the first is taken.
-    """
+    """Build the tree of given leaves; nodes are split along the first axis on which all their leaves are narrower."""
     node = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)
     axes = []
     while len(active):
         narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
-        for each_axis in range(cells.dim):  # NumPy is fast here for single indices alone
+        for each_axis in range(cells.dim):  # ``np.minimum.at`` is fast only with one index array
             below = cells.depth[active, each_axis] - node_depth[node[active], each_axis]
             np.minimum.at(narrower[:, each_axis], node[active], below)
         inner = np.any(narrower, axis=1)
@@ -184,7 +167,7 @@ def tree_of(cells: Cells) -> Tree:
         node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
         node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
     tree = tree_of_axes(axes, cells.dim)
-    # A node's place in its level, and the level, which is how often the cell was halved, name a leaf.
+    # A leaf is identified by its level (its number of splits) and its place in that level.
     first = np.cumsum([0, *(len(axis) for axis in axes)])
     index = np.empty(len(tree.child), np.int64)
     index[first[cells.depth.sum(axis=1)] + node] = np.arange(len(cells))
@@ -192,7 +175,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
-    """The tree whose nodes are split along given axes, level by level; -1 for a leaf."""
+    """Build a tree from the split axes of its nodes in level order, -1 for a leaf."""
     num_nodes = sum(map(len, axes))
     child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
@@ -213,5 +196,5 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
+    """Return the corners of a cell in standard order, one per row; 0 is the lower end of an axis, 1 the upper."""
     return np.array(list(product((0, 1), repeat=dim)))

@@ -1,4 +1,4 @@
-"""Distances to a goal, or between any two points, on a grid of cells that may be traced."""
+"""The public function :func:`grid_distance`: distances on a grid of cells that may be traced by JAX."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,15 +19,15 @@ Moves = Literal["any-angle", 4, 8]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridDistance:
-    """Distance from anywhere on a grid to a goal; made by :func:`grid_distance`.
+    """The distance from any point of a grid to a goal; made by :func:`grid_distance`.
 
-    It is a pytree of arrays whose shapes depend on that of the grid alone.
+    It is a pytree of arrays whose shapes depend only on the shape of the grid.
 
     Attributes:
-        paths: What answers.
-        is_complete: Whether there were places for all corners: else answers are NaN. True of 4 and 8 moves.
-        is_nan: Whether all answers are NaN, as a coordinate of the goal is.
-        shape: Rows and columns.
+        is_complete: Whether the map has at most ``max_corners`` corners; if not, distances are NaN. Always true for
+            ``moves`` of 4 or 8.
+        is_nan: Whether a coordinate of the goal is NaN; all distances are NaN then.
+        shape: Rows and columns of the grid.
     """
 
     paths: Steps | CornerPaths
@@ -37,22 +37,22 @@ class GridDistance:
 
     @property
     def cells(self) -> Float[Array, "h w"]:
-        """Distances of the centers of all cells, found when they are asked for."""
+        """Distances of the centers of all cells, computed at each access."""
         h, w = self.shape
         return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Distances of points.
+        """Return the distance of each point to the goal.
 
         Args:
             x: Points ``(x, y)``, ``(..., 2)``.
 
         Returns:
-            Distances in sides of cells, ``(...)``: ``inf`` outside, inside blocked cells and where no path leads,
-            with gradients of 0; NaN where a coordinate, or one of the goal, is NaN.
+            Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
+            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN.
 
         Raises:
-            ValueError: If ``x`` has another shape, or holds no real numbers.
+            ValueError: If ``x`` has a wrong shape or is not real.
         """
         x = _as_points("x", x)
         is_nan = jnp.isnan(x).any(axis=-1) | self.is_nan | ~self.is_complete
@@ -65,28 +65,20 @@ class GridDistance:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridDistances:
-    """Distance between any two points on a grid; made by :func:`grid_distance` without a goal.
+    """The distance between any two points of a grid; made by :func:`grid_distance` without a goal.
 
-    Attributes:
-        paths: What answers.
-        is_complete: As :attr:`GridDistance.is_complete`.
+    ``is_complete`` is that of :class:`GridDistance`.
     """
 
     paths: StepPairs | CornerPairs
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Distances of pairs of points.
+        """Return the distance between the points of each pair; see :meth:`GridDistance.__call__`.
 
         Args:
             x: Points ``(x, y)``, ``(..., 2)``.
-            y: Others; the leading axes of both are broadcast.
-
-        Returns:
-            Distances, as those of :meth:`GridDistance.__call__`.
-
-        Raises:
-            ValueError: As there.
+            y: Other ends, ``(..., 2)``; leading axes broadcast with those of ``x``, else ``ValueError``.
         """
         x, y = _as_points("x", x), _as_points("y", y)
         try:
@@ -111,32 +103,30 @@ def grid_distance(
 def grid_distance(
     free: ArrayLike, goal: ArrayLike | None, *, moves: Moves = "any-angle", max_corners: int | None = None
 ) -> GridDistance | GridDistances:
-    """Lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
+    """Compute lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
 
-    All of it can be traced: maps and goals that are drawn inside ``jax.jit``, ``jax.vmap`` over either or both,
-    ``jax.grad`` with respect to points and to the goal, which is 0 of 4 and 8 moves. Cell ``[i, j]`` covers ``x`` in
-    ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; what is beyond the grid is blocked. A point on sides of cells is in a
-    free one if there is one.
+    Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
+    ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers
+    ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked. A point on a boundary
+    between cells counts as free if one of them is.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
-        goal: The goal ``(x, y)``, ``(2,)``; or None, for distances between any two points.
-        moves: The paths. ``"any-angle"``: all that keep out of blocked cells. They may touch walls, but not pass
-            between two blocked cells that touch in a corner: what ``VisibilityGraph`` measures in
-            ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells with a common side, from the cell that
-            holds a point to the cell that holds the goal. 8: also diagonal ones, of the square root of 2, where both
-            cells neighbors_of them are free.
-        max_corners: For how many corners of blocked cells, at which any-angle paths can bend, there are places: by
-            default for all if the grid is at most 17 x 17, else half as many as there are corners of cells. Time and
-            memory grow with its square. Where a map has more, answers are NaN and ``is_complete`` is false. Not for
-            4 or 8 moves.
+        goal: Goal ``(x, y)``, ``(2,)``, or None for distances between any two points.
+        moves: Kind of paths. ``"any-angle"``: all paths outside blocked cells; they may touch walls, but not pass
+            between two blocked cells that share only a corner. These are the distances of ``VisibilityGraph`` in
+            ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
+            cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
+        max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Time and
+            memory grow with its square. Maps with more corners give NaN and ``is_complete`` false. Default: all cell
+            corners inside grids with at most 256 of them (17 x 17 cells), else half of them.
 
     Returns:
-        The distance, a function of points, or of pairs of points.
+        A function of points, or of pairs of points if ``goal`` is None.
 
     Raises:
-        ValueError: If ``free`` is no boolean array of rank 2 with cells, ``goal`` no point, ``moves`` none of the
-            above, ``max_corners`` below 1 or for other moves, or the grid too large. Also while it is traced.
+        ValueError: If ``free`` is no non-empty boolean matrix, ``goal`` no point, ``moves`` or ``max_corners``
+            invalid, or the grid too large. Also raised during tracing.
     """
     mask = _as_mask(free)
     h, w = mask.shape
@@ -146,18 +136,18 @@ def grid_distance(
         require_integer("max_corners", max_corners, 1)
         if moves != "any-angle":
             raise ValueError(
-                f"max_corners is for any-angle paths, got {max_corners} for moves={moves}: leave it out."
+                f"max_corners requires any-angle paths, got {max_corners} with moves={moves}: leave it out."
             )
     point = None if goal is None else _as_points("goal", goal)
     if point is not None and point.ndim != 1:
-        raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for several.")
+        raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for more.")
     if moves == "any-angle":
         inside = (h - 1) * (w - 1)
         count = min(inside, max_corners or (inside if inside <= MAX_LATTICE else -(-inside // 2)))
         if count > MOST_CORNERS:
             raise ValueError(
-                f"A grid of {h} x {w} cells has too many corners for any-angle paths, {count:,} of at most "
-                f"{MOST_CORNERS:,}: give max_corners, or moves=8."
+                f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {count:,} on {h} x {w} cells: "
+                "pass max_corners, or use moves=8."
             )
         count = max(1, count)
     elif moves == 8 and h * w > MOST_CELLS:
@@ -169,9 +159,6 @@ def grid_distance(
         return GridDistances(pairs, is_complete)
     paths, is_complete = _paths(mask, _finite(point), moves, count)
     return GridDistance(paths, is_complete, jnp.isnan(point).any(), (h, w))
-
-
-# Compiled one by one for who calls them outside of ``jit``.
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
@@ -209,7 +196,6 @@ def _as_mask(free: ArrayLike) -> Mask:
 
 
 def _as_points(name: str, value: ArrayLike) -> Points:
-    """Points as floats of 32 bits at least."""
     try:
         points = jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
@@ -220,9 +206,9 @@ def _as_points(name: str, value: ArrayLike) -> Points:
             f"{name} must be real numbers of shape (..., 2), rows (x, y), got {points.dtype} of shape {points.shape}."
         )
     is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
-    return points if is_wide else points.astype(jnp.zeros(()).dtype)  # the default
+    return points if is_wide else points.astype(jnp.zeros(()).dtype)  # JAX's default float type
 
 
 def _finite(x: Points) -> Points:
-    """Points, and for others some outside of every grid."""
+    """Replace points that are not finite by a point outside every grid."""
     return jnp.where(jnp.isfinite(x), x, -1)

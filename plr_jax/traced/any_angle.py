@@ -1,10 +1,10 @@
-"""Lengths of shortest paths among the blocked cells of a traced grid, which bend at convex corners of blocked cells.
+"""Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
 
-First, which points see each other: cells that straight segments cross, row by row, as bits. Segments run between
-points inside free cells, which are kept :func:`margin` from the sides of these cells, and count as crossing what they
-pass within a fourth of that margin. So a segment that grazes a corner of a blocked cell may count as crossing it: a
-path by way of that corner is as long. None passes where two blocked cells touch. For ends that do not depend on the
-map, centers and corners of cells, the bits are found once, on the host. Then, shortest paths from corner to corner.
+1.  Visibility: the cells that a segment crosses, row by row, are compared as bits with the blocked cells. Segments
+    run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
+    within a fourth of it. A segment that grazes a corner may so count as blocked; the path through that corner is as
+    long. If both ends are independent of the map, the crossed cells are computed once, on the host.
+2.  Shortest paths from corner to corner, by relaxation.
 """
 
 from collections.abc import Iterator
@@ -25,18 +25,18 @@ Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12
-"""Corners whose lengths take 64 megabytes."""
+"""Most slots for corners; the distances between so many take 64 MB."""
 MAX_LATTICE = 2**8
-"""Corners inside a grid up to which all have places by default; of more, half."""
+"""Up to so many lattice corners, all have a slot by default; of more, half."""
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """How far points are kept from the sides of cells: 32 units in the last place of the largest coordinate."""
+    """Return the least distance of points from the sides of cells: 32 float spacings at the largest coordinate."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Points moved inside each of their two free cells, and whether there are any."""
+    """Move points inside their (up to two) free cells; return also whether there is a free cell."""
     *cells, is_free = free_cells(free, x)
     cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
@@ -44,7 +44,7 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
-    """Whether segments between points, both inside free cells, cross no blocked cell."""
+    """Return whether segments between points inside free cells cross no blocked cell."""
     hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
@@ -53,7 +53,7 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
             begin, end = first - WORD * word, last - WORD * word
             from_first = every << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
             ones = from_first & (every >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
-            if blocked.shape[1] > 1:  # ends may lie beyond the word
+            if blocked.shape[1] > 1:  # the interval may miss this word
                 ones = jnp.where((begin < WORD) & (end >= 0), ones, jnp.uint32(0))
             in_row |= blocked[row, word] & ones
         hit |= jnp.where(is_crossed, in_row, jnp.uint32(0))
@@ -61,14 +61,11 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Of each row the first and last column that segments cross there, and whether they cross the row at all.
-
-    With NumPy or with JAX as ``xp``; no end may lie on a line between rows.
-    """
+    """Yield each row's first and last crossed column, and whether it is crossed; no end may be on a row border."""
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
-    # Level segments cross the row they are in with all their length: any steep enough slope says so.
+    # A tiny slope for level segments makes all their length lie in their row.
     inverse = 1 / xp.where(dy == 0, 1e-30, dy)
     at, x_at = xp.clip(-y0 * inverse, 0, 1), None
     x_at = x0 + dx * at
@@ -81,11 +78,8 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
         at, x_at = until, x_until
 
 
-# Ends that do not depend on the map.
-
-
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
-    """Whether the segments of a table cross no blocked cell."""
+    """Return whether the segments of a table from :func:`crossed_cells` cross no blocked cell."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -94,24 +88,24 @@ def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Arr
 
 @lru_cache(maxsize=8)
 def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
-    """The corners of cells that are inside the grid, row by row."""
+    """Return the corners of cells inside the grid, row by row."""
     rows, columns = np.mgrid[1 : shape[0], 1 : shape[1]].reshape(2, -1)
     return np.stack([columns, rows], axis=1).astype(float)
 
 
 def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
-    """The centers of cells, row by row."""
     rows, columns = np.indices(shape).reshape(2, -1)
     return np.stack([columns, rows], axis=1) + 0.5
 
 
 @lru_cache(maxsize=16)
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
-    """Cells that segments cross from each corner of a cell, or center of one, to each corner, as bits.
+    """Return the cells, as bits, that segments cross to each corner from each corner or cell center.
 
-    Where a segment passes through a corner, it counts as crossing all four cells: if one is blocked, a path by way
-    of that corner is as long, and if two are, none passes. A segment along a line of the grid counts as running on
-    its left: two corners see each other if one of both ways is free, or by way of one where free sides change.
+    A segment through a corner counts as crossing all four cells there: if one is blocked, a path through the corner
+    is as long; if two are, no path passes. A segment along a grid line counts as running on its left, so two corners
+    see each other if one of the two directions is free; if the free side changes, a path leads through the corner
+    there.
     """
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a
@@ -129,7 +123,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    """Of both the one on the side of other points."""
+    """Return, of two end points, the one on the side of ``x``."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -138,12 +132,9 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Corners of cells at which paths can bend, since one of the four cells there is blocked.
+    """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend.
 
-    Attributes:
-        free: The grid.
-        index: Which corner inside the grid each place holds, row by row.
-        is_convex: Which places hold one at which paths can bend.
+    Slot ``i`` holds the lattice corner ``index[i]`` if ``is_convex[i]``; other slots are padding.
     """
 
     free: Bool[Array, "*maps h w"]
@@ -152,16 +143,15 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether every corner inside the grid has its place: what segments between them cross is then in a table."""
+        """Whether every lattice corner has a slot, so that :func:`crossed_cells` applies."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Where they are."""
         corners = jnp.asarray(lattice(self.free.shape), dtype)
         return corners if self._is_lattice else corners[self.index]
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Points near them, inside the cells that are opposite of the blocked ones."""
+        """Return points near the corners, inside the cells opposite to the blocked ones."""
         blocked = (~self.free).astype(dtype)
         lower_left, lower_right = blocked[:-1, :-1], blocked[:-1, 1:]
         upper_left, upper_right = blocked[1:, :-1], blocked[1:, 1:]
@@ -169,30 +159,30 @@ class Corners:
             lower_left + upper_left - lower_right - upper_right,
             lower_left + lower_right - upper_left - upper_right,
         ]
-        # Where there is no convex corner that may be nowhere: any point inside a cell will do.
+        # Without a convex corner the sum may be 0; any point inside a cell will do.
         away = jnp.where(jnp.stack(away, axis=-1) < 0, -1, 1).reshape(-1, 2)[self.index]
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, "n"]:
-        """Whether points, moved inside free cells, see each other."""
+        """Return whether points that were moved inside free cells see each other."""
         return is_unobstructed(
             pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Which places are seen from points, moved inside free cells, if they hold a convex corner."""
+        """Return which convex corners are visible from points that were moved inside free cells."""
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
     def seen_from_centers(self, dtype: jnp.dtype) -> Bool[Array, "cells corners"]:
-        """Which places are seen from the centers of cells, row by row, if they hold a convex corner."""
+        """Return which convex corners are visible from each cell center."""
         if self._is_lattice:
             table = crossed_cells(self.free.shape, from_centers=True)
             return are_unobstructed(table, pack(~self.free.reshape(1, -1))[0])
         return self.seen_from(inside_free_cells(self.free, jnp.asarray(cell_centers(self.free.shape), dtype))[0])
 
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
-        """Between those that see each other the length of the segment, else ``inf``."""
+        """Return the distance between corners that see each other; ``inf`` for all other pairs."""
         if self._is_lattice:
             left, blocked = crossed_cells(self.free.shape, from_centers=False), pack(~self.free.reshape(1, -1))[0]
             seen = are_unobstructed(left, blocked) | are_unobstructed(left.swapaxes(1, 2), blocked)
@@ -205,8 +195,8 @@ class Corners:
 
 
 def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
-    """The corners of a grid at which paths can bend, in so many places, and whether there are places for all."""
-    # A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked.
+    """Return the convex corners in ``count`` slots, and whether all fit."""
+    # Pad to at least two rows and columns, so that there is a lattice corner; cells beyond the grid are blocked.
     free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
     is_convex = jnp.sum(~around, axis=0) == 1
@@ -218,18 +208,14 @@ def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
 
 
 def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
-    """Length of segments; its gradient is 0 where they are points."""
+    """Return the lengths of segments; the gradient is 0 where the ends coincide."""
     squares = jnp.sum((a - b) ** 2, axis=-1)
     return jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
 
 
-# Shortest paths between corners: relaxation of all at once, in as many rounds as paths have bends. What the distance
-# of a corner depends on is the corner at which its path begins, so the gradient follows that one alone.
-
-
 @jax.custom_jvp
 def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
-    """Distances of corners to a goal, from those of the corners that it sees, ``inf`` for others."""
+    """Return the distance of each corner to the goal, given the distances of the corners that see the goal."""
 
     def relaxed(state):
         old, _ = state
@@ -241,6 +227,7 @@ def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> 
 
 @relax_from_seen.defjvp
 def _(primals, tangents):
+    # The gradient of a corner's distance is that of the corner at the goal's end of its path: follow the successors.
     lengths, seen = primals
     through = relax_from_seen(lengths, seen)
     corners = jnp.arange(len(seen))
@@ -253,13 +240,7 @@ def _(primals, tangents):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPaths:
-    """Distances to a goal, by way of corners.
-
-    Attributes:
-        corners: Those of the grid.
-        distances: Their own distances.
-        goal: The goal.
-    """
+    """Distances to a goal through convex corners, whose own distances to the goal are stored."""
 
     corners: Corners
     distances: Float[Array, "*maps corners"]
@@ -267,7 +248,6 @@ class CornerPaths:
 
     @classmethod
     def to_goal(cls, corners: Corners, goal: Float[Array, "2"]) -> "CornerPaths":
-        """Those to a goal."""
         lengths = corners.lengths(goal.dtype)
         (ends,), (is_free,) = inside_free_cells(corners.free, goal[None])
         seen = corners.seen_from(ends[None])[0] & is_free & corners.is_convex
@@ -276,12 +256,10 @@ class CornerPaths:
 
     @jax.jit
     def cells(self) -> Float[Array, "h w"]:
-        """Those of the centers of cells."""
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
         return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
 
     def distance(self, x: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Those of points."""
         x = x.astype(jnp.promote_types(x.dtype, self.goal.dtype))
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
@@ -300,27 +278,20 @@ class CornerPaths:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPairs:
-    """Distances between any two points, by way of corners.
-
-    Attributes:
-        corners: Those of the grid.
-        between: Distances between corners.
-    """
+    """Distances between any two points through convex corners; ``between`` has those of pairs of corners."""
 
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 
     @classmethod
     def of_grid(cls, corners: Corners) -> "CornerPairs":
-        """Those of a grid."""
         lengths = corners.lengths(jnp.zeros(()).dtype)
         own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
-        # Floyd and Warshall
+        # Floyd-Warshall algorithm
         between = lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
         return cls(corners, between)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Those of pairs of points."""
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))
@@ -333,16 +304,16 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    """Length of segments whose ends see each other; else ``inf``, with gradients of 0."""
+    """Return the length of segments whose ends see each other, else ``inf`` with gradient 0."""
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 
 @jax.custom_jvp
 def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
-    """The least sum of a first leg and what follows, with the gradient of one such sum alone.
+    """Return the minimum of ``first + onward`` over the last axis, with the gradient of a single minimizer.
 
-    Of sums that are as small to rounding it is the first whose leg is no point: at a corner, the leg to that corner
-    has no direction, but the corner's own path has.
+    Of minimizers that are equal up to rounding it is one with ``first > 0``: at a corner, the segment to that corner
+    has length 0 and no direction, but the rest of its path has one.
     """
     return jnp.min(first + onward, axis=-1)
 

@@ -1,6 +1,6 @@
-"""Distances on a traced grid by steps between cells, to 4 neighbors or to 8.
+"""Distances on a traced grid by steps between cells, to 4 or 8 neighbors.
 
-A grid is held as bits: one word has 32 cells of a row, the first column in the lowest bit.
+For 4 neighbors, grids are stored as bits: a word holds 32 cells of a row, the first column in the lowest bit.
 """
 
 from dataclasses import dataclass
@@ -28,27 +28,25 @@ _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
 def pack(cells: Mask) -> Words:
-    """Rows of cells as bits, the first column the lowest bit of the first word."""
     h, w = cells.shape
     bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
     return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
 
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
-    """The bits of ``w`` columns, each 0 or 1."""
     bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
     return bits.reshape(len(words), -1)[:, :w]
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
-    """The bits of a grid of which one cell alone is set."""
+    """Return the bits of a grid in which only one cell is set."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
 
 
 def neighbors_of(words: Grids) -> Grids:
-    """The neighbors of cells, in their row and in the rows above and below."""
+    """Return the 4-neighbors of the cells that are set."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
         none = jnp.zeros_like(words[:, :1])
@@ -59,9 +57,10 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
-    """Rows and columns of two free cells that hold points, sides included, and whether there is any.
+    """Return rows and columns of two free cells that hold each point, sides included, and whether one exists.
 
-    They are the lowest and the highest: where free cells touch in a point, and blocked ones as well, both of them.
+    They are the first and last of up to four such cells: both, where two free and two blocked cells meet at the
+    point.
     """
     size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
@@ -80,27 +79,20 @@ def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Distances to the cell that holds a goal; points on sides of cells are in two.
-
-    Attributes:
-        table: That of each cell.
-    """
+    """Distances of all cells to the cell that holds the goal; points on a side between cells are in both."""
 
     table: Float[Array, "*maps h w"]
 
     @classmethod
     def to_goal(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
-        """Those to a goal."""
         lowest, highest, is_free = free_cells(free, goal)
         start = single_cell(free.shape, *lowest) | single_cell(free.shape, *highest)
         return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
 
     def cells(self) -> Distances:
-        """That of each cell."""
         return self.table
 
     def distance(self, x: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Those of points."""
         *cells, is_reached = free_cells(jnp.isfinite(self.table), x)
         return jnp.where(is_reached, jnp.minimum(*(self.table[cell] for cell in cells)), jnp.inf)
 
@@ -108,23 +100,17 @@ class Steps:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class StepPairs:
-    """Distances between all cells.
-
-    Attributes:
-        table: That of each pair of cells.
-    """
+    """Distances between all pairs of cells."""
 
     table: Float[Array, "*maps h w h w"]
 
     @classmethod
     def of_grid(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
-        """Those of a grid."""
         rows, columns = jnp.indices(free.shape, dtype=jnp.int32).reshape(2, -1)
         to_cell = jax.vmap(lambda row, column: distances(free, single_cell(free.shape, row, column), moves))
         return cls(to_cell(rows, columns).reshape(free.shape * 2))
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Those of pairs of points."""
         h, w = self.table.shape[:2]
         free = jnp.diagonal(self.table.reshape(h * w, h * w)).reshape(h, w) == 0
         (*x_cells, x_is_free), (*y_cells, y_is_free) = free_cells(free, x), free_cells(free, y)
@@ -133,7 +119,7 @@ class StepPairs:
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
-    """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
+    """Return the path length from each cell to the nearest ``start`` cell; ``inf`` if none is reachable."""
     w, start = free.shape[1], start & pack(free)
     if moves == 8:
         return _octile_distances(free, unpack(start, w) == 1)
@@ -142,14 +128,13 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
     return jnp.where(unpack(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
 
 
-# Breadth-first search over bits: a level of the whole grid takes a few operations on words. The level of a cell is a
-# binary number, each of its digits a plane of bits. Four levels are a round, so that only two digits change between.
-# Where levels are mapped over grids, grids are the last axis: the other way round a third as many a second.
-
-
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """What is reached, and the digits of its levels."""
+    """Return the reachable cells, and their levels as binary numbers, one array of bits for each digit.
+
+    A level of the whole grid takes a few operations on words. Four levels form a round, so that only two digits
+    change within it. Batches of grids use the last axis, which is three times as fast as the first.
+    """
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
 
@@ -184,12 +169,10 @@ def _(size: Any, is_mapped: list[bool], *arguments: Any):
     return (jnp.moveaxis(reached, -1, 0), jnp.moveaxis(digits, -1, 0)), (True, True)
 
 
-# Relaxation of all cells at once until nothing changes. Lengths are whole numbers, so that sums are exact however
-# long a path: a diagonal step is 3363 / 2378 straight ones, a convergent of the square root of 2, 4.5e-8 of it above.
-
+# Integer lengths keep sums of steps exact. 3363 / 2378 is a convergent of sqrt(2), above it by 4.4e-8.
 _STRAIGHT, _DIAGONAL, _FAR = 2378, 3363, 2**29
 MOST_CELLS = _FAR // _DIAGONAL
-"""Up to so many cells the length of any path fits: it has fewer steps than there are cells."""
+"""Most cells of a grid for ``moves=8``: a path has fewer steps than cells, so its length stays below ``_FAR``."""
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
@@ -198,7 +181,7 @@ def _octile_distances(free: Mask, start: Mask) -> Distances:
     def at(padded, down: int, right: int):
         return padded[1 + down : h + 1 + down, 1 + right : w + 1 + right]
 
-    # Seen from where a step ends: the cells on both sides of it are free.
+    # A diagonal step into a cell is legal if both cells beside it are free.
     margin = jnp.pad(free, 1)
     diagonals = [(down, right) for down in (-1, 1) for right in (-1, 1)]
     is_legal = [at(margin, down, 0) & at(margin, 0, right) for down, right in diagonals]

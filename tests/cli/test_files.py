@@ -76,7 +76,7 @@ def test_export_writes_a_header(plane, tmp_path):
     done("export", plane, "--c", "-o", tmp_path / "b.h", "--name", "level_1")
     for name in ("level_1.h", "b.h"):
         assert (tmp_path / name).read_text() == load(plane).c_header("level_1")
-    assert "identifier of C" in mistake("export", plane, "--c", "-o", tmp_path / "1.h")
+    assert "a C identifier" in mistake("export", plane, "--c", "-o", tmp_path / "1.h")
     assert "leave out --goal" in mistake("export", plane, "--goal", "0,0", "-o", tmp_path / "a.h")
     assert "must end in .h" in mistake("export", plane, "--c", "-o", tmp_path / "a.txt")
     assert "No such folder" in mistake("export", tmp_path / "none.plr", "--c", "-o", tmp_path / "none" / "a.h")

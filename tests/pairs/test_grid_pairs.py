@@ -284,5 +284,5 @@ def test_other_tables_are_refused_and_headers_are_valid_c_plus_plus(tmp_path):
             '#include "here.h"\n#include "here.h"\nint main() { return here_steps(0, 1); }\n'
         )
         subprocess.run([plus, *STRICT, "-Wno-unused-function", "-fsyntax-only", tmp_path / "a.cpp"], check=True)
-    with pytest.raises(ValueError, match="identifier of C"):
+    with pytest.raises(ValueError, match="a C identifier"):
         pairs[0].c_header("1")

@@ -101,7 +101,7 @@ def same_bits(a, b):
 
 
 class SlowReader:
-    """Reads as the docstring of ``plr_jax/plr/portable`` says, one point at a time, in scalars of NumPy.
+    """Reads as ``plr_jax/plr/portable/FORMAT.md`` says, one point at a time, in scalars of NumPy.
 
     Cells are compared one by one. Of leaves that nothing reaches and of the domain of a folding it asks the package,
     and of polynomials how their weights are rounded, which the words leave open where they are not exact.
@@ -240,7 +240,7 @@ def _outward(lo, hi):
     )
 
 
-# Numbers of leaves that are polynomials, from free values: by the words of ``plr_jax/plr/portable``, in fractions.
+# Numbers of leaves that are polynomials, from free values: by ``plr_jax/plr/portable/FORMAT.md``, in fractions.
 #
 # A *combination* of values is a dictionary from the groups that have them to their weights. Of the package there are
 # only the cells, the faces that are tied, which leaves are unreachable, and the free values, as a file holds them.

@@ -501,7 +501,7 @@ def test_lower_bounds_stack_into_an_admissible_heuristic(certified, maze):
     for i, plr in enumerate((certified, other)):
         np.testing.assert_array_equal(stacked[:, i], np.asarray(plr.bounds(q[:, i])[0], float))
     for fns in ([], [certified.lower, certified]):
-        with pytest.raises(ValueError, match="Lower bounds of PLRs can be stacked"):
+        with pytest.raises(ValueError, match="fns must be a list of lower bounds"):
             certified.lower.stack(fns)
 
 

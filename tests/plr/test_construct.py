@@ -166,8 +166,8 @@ def test_many_axes_can_still_be_split():
                 ({"distance_fn": lambda x: np.full(len(x), 1e100)}, "scale them down"),
                 ({"distance_fn": lambda x: np.full(len(x), np.inf)}, "found nothing reachable"),
                 ({"distance_fn": lambda x: np.full(len(x), np.nan)}, "distance_fn gives NaN at"),
-                ({"domain": ((0, 0), (1e39, 1e39))}, "The domain must be within"),
-                ({"domain": ((0, 0), (1e-39, 1e-39))}, "The domain must be within"),
+                ({"domain": ((0, 0), (1e39, 1e39))}, "A domain's coordinates must be below"),
+                ({"domain": ((0, 0), (1e-39, 1e-39))}, "A domain's coordinates must be below"),
                 ({"max_bytes": 13}, r"max_bytes=13 is too small: one leaf takes [123]\d bytes"),
             )
         ),

@@ -171,7 +171,7 @@ def test_cones_and_proofs_are_refused():
 
 
 UTM, FARTHER = np.array([5e5, 4e6]), np.array([1e8 + 1, -3e9 + 5])
-REFUSED = "so far from the origin that float32 points.*Give NumPy's float64 points.*enable jax_enable_x64"
+REFUSED = "float32 points, or 32-bit tables, are too coarse.*Pass NumPy float64 points.*enable jax_enable_x64"
 
 
 def maze(origin, width):

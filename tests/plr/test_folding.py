@@ -93,10 +93,10 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
     [
         (0, 0, struct.pack("<d", np.nan), "not finite"),
         (0, 0, struct.pack("<d", 7.0), "does not cut the domain"),
-        (0, 24, b"\2", "mark of 2"),
+        (0, 24, b"\2", "flag of 2"),
         (0, 25, b"\377", "end too early"),
-        (0, 26, b"\0\0\1", "no axis of its own"),
-        (0, 32, b"\1\1\0", "which plr_jax 0.1 reads"),
+        (0, 26, b"\0\0\1", "must reverse an axis of its own"),
+        (0, 32, b"\1\1\0", "which only plr_jax 0.1 reads"),
         (0.4, 25, struct.pack("<d", 0.5), "not orthogonal"),
         (0, 3 - 52, b"\xa3", "its points are folded, but its leaves have sources"),
     ],
@@ -167,7 +167,7 @@ def test_boxes_of_leaves_fill_the_domain():
     np.testing.assert_array_equal(leaf_of(plr, (lo + hi) / 2), plr.leaf_of_box)
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(25.0)
     assert plr.num_leaves == len(plr.cells) == len(plr.slope) == 20
-    with pytest.raises(ValueError, match="along other axes"):
+    with pytest.raises(ValueError, match="along rotated axes"):
         folding_of(ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE).boxes(np.zeros((1, 3)), np.ones((1, 3)))
 
 

@@ -38,7 +38,7 @@ def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked
     several = jax.tree.map(lambda *arrays: jnp.stack(arrays), plr, plr)
     np.testing.assert_array_equal(jax.vmap(lambda plr: plr(x))(several)[1], plr(x))
     assert "stacked" in repr(several)
-    with pytest.raises(ValueError, match="those of several"):
+    with pytest.raises(ValueError, match="its arrays are stacked"):
         save(several, tmp_path / "several.plr")
     assert not list(tmp_path.iterdir())
 

@@ -160,7 +160,7 @@ def test_ways_far_from_the_origin():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda plr: trace(cone, [[0, 0]]), "Only a PLR can be traced, got <function cone"),
+        (lambda plr: trace(cone, [[0, 0]]), "plr must be a PLR of cones, got <function cone"),
         (lambda plr: trace(plr, [0.5, 0.5]), r"starts must have shape \(n, 2\), got \(2,\). Use starts\[None\]"),
         (lambda plr: trace(plr, [[0.5, 0.5]], UNIT), "workspace must be a Workspace or None, got Box"),
         (lambda plr: plr.waypoint([0.5, 0.5, 0.5]), r"Points must have shape \(..., 2\), got \(3,\)"),

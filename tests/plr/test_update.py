@@ -103,7 +103,7 @@ def test_what_cannot_be_updated_is_refused(oracle, plr):
     other = oracle.with_workspace(oracle.workspace.with_obstacles(remove=[0]))
     with pytest.raises(ValueError, match="before must be the oracle that the PLR is of"):
         plr.updated(oracle, other)
-    with pytest.raises(ValueError, match="is not known, as of one from a file"):
+    with pytest.raises(ValueError, match="which a PLR from a file does not know"):
         from_bytes(plr.to_bytes()).updated(oracle)
 
 

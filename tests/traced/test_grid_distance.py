@@ -90,10 +90,10 @@ class TestOfEveryKind:
         ({"moves": 6}, 'moves must be "any-angle", 4 or 8, got 6'),
         ({"moves": None}, 'moves must be "any-angle", 4 or 8, got None'),
         ({"max_corners": 0}, "max_corners must be an integer >= 1, got 0"),
-        ({"moves": 4, "max_corners": 9}, "max_corners is for any-angle paths, got 9 for moves=4: leave it out"),
+        ({"moves": 4, "max_corners": 9}, "max_corners requires any-angle paths, got 9 with moves=4: leave it out"),
         (
             {"free": np.ones((128, 128), bool)},
-            "128 x 128 cells has too many corners.*8,065.*give max_corners, or moves=8",
+            "at most 4,096 corners, got 8,065 on 128 x 128 cells: pass max_corners, or use moves=8",
         ),
         ({"free": np.ones((500, 500), bool), "moves": 8}, "at most 159,640 cells for moves=8, got 500 x 500"),
     ],

@@ -1,7 +1,8 @@
-"""The arithmetic of a query, written once for arrays, for single numbers and for the text of a program.
+"""The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
 
-Everything here takes *operations* and coordinates, one value an axis, and combines them as the format says (see the
-package). A value is whatever the operations are for: an array of NumPy, one of its scalars, or a piece of C.
+All functions take *operations* and lists of coordinates, one value per axis. With :class:`Operations`, values are
+NumPy arrays or scalars and results are computed; with an emitter (``writers.py``), values are expressions and results
+are code.
 """
 
 from collections.abc import Sequence
@@ -26,40 +27,33 @@ from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.tree import Tree
 
 Value: TypeAlias = Any
-"""Numbers that add, multiply and compare, or the text of such."""
+"""A number, an array, or an expression."""
 
 Point: TypeAlias = list[Value]
-"""A point, one value an axis."""
+"""Coordinates of points, one value per axis."""
 
 
 class Operations:
-    """What is done with values other than to add, multiply and compare them: of arrays of NumPy.
-
-    Writers of programs do the same with text.
-    """
+    """Operations on NumPy values besides arithmetic and comparisons; emitters of programs override them."""
 
     def let(self, name: str, value: Value) -> Value:
-        """The same value, which a program gives a name."""
+        """Return the value; an emitter of a program assigns it to a new variable."""
         return value
 
     def where(self, condition: Value, yes: Value, no: Value) -> Value:
-        """One of two values."""
         return np.where(condition, yes, no)
 
     def floor(self, x: Value) -> Value:
-        """The largest integer that is not offsets, in the precision of the value."""
         return np.floor(x)
 
     def root(self, x: Value) -> Value:
-        """The square root."""
         return np.sqrt(x)
 
     def rounded(self, x: Value) -> Value:
-        """The value in 32 bits."""
         return x.astype(np.float32)
 
     def fraction(self, x: Value) -> Value:
-        """The 23 bits behind the point of a value from 1 to below 2, as an integer."""
+        """Return the 23 mantissa bits of a value in [1, 2) as an integer."""
         return x.view(np.uint32) & np.uint32((1 << FRACTION_BITS) - 1)
 
 
@@ -67,7 +61,7 @@ ARRAYS = Operations()
 
 
 def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
-    """A finite coordinate, moved by whole periods to between the ends, the upper of which becomes the lower."""
+    """Move a finite coordinate by whole periods to between ``lo`` and ``hi``; the upper end becomes the lower one."""
     turns = do.floor((x - lo) * scale)
     moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
     from_end = x - hi
@@ -76,12 +70,11 @@ def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance
 
 
 def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
-    """The number between two others that is nearest."""
     return do.where(x < lo, lo, do.where(x > hi, hi, x))
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """The place along an axis, an integer of 23 bits, so far offsets the lower corner of a frame's column."""
+    """Return the fraction bits along an axis, given the offset from the lower corner and the frame's column."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -91,30 +84,25 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     return do.fraction(placed)
 
 
-_TOLERANCE = 2.0**-44
+_TOLERANCE = 2.0**-44  # of wrapping, relative to the ends of the domain
 
 
 class Program:
-    """A query without its points: its steps (see the package), each with its numbers or their names.
+    """The steps of a query (``FORMAT.md``) for one file, without its points.
 
     Attributes:
-        contents: What the file holds.
-        leaf: Its leaf model.
-        domain: The domain of the points; that of ``contents`` is of folded ones.
-        corner: That of a far domain, from which points are counted in 64 bits; else None.
-        precision: Of the points that are asked for at the least: 64 bits in a far domain.
-        numbers: What the leaves compute with, in the order of the tree's traversal, without those of cells.
-        frame: That of the domain that the leaves partition, as points come to it: counted, or folded.
-        window: Least and largest counted coordinates that have an answer; along periodic axes, before they are
-            counted.
-        periods: Ends of periodic axes, one over the width and a tolerance, in 32 bits.
-        double_periods: The same of the domain in 64 bits.
-        fold: How counted points are folded: center, and what it leaves; axes, None if they are the domain's; mirrors;
-            least and largest coordinates. None if they are not.
+        corner: Origin of points in a far domain, else None.
+        precision: Least precision of given points: 64 bits in a far domain.
+        frame: Frame of the domain that leaves partition, as points arrive there: relative to ``corner``, or folded.
+        limits: Least and largest coordinates inside, relative to ``corner``; along periodic axes, all finite ones.
+        periods: Ends, inverse width and tolerance of each periodic axis, in 32 bits.
+        double_periods: The same in 64 bits.
+        folding_arrays: Center, its rounding error, axes (or None), mirrors and corners of the folded box; None
+            without folding.
     """
 
     def __init__(self, contents: DecodedFile) -> None:
-        """Of a file; raises ``ValueError`` if 32-bit floats cannot hold its numbers."""
+        """Raise ``ValueError`` if 32-bit floats cannot hold the file's numbers."""
         self.contents, self.leaf = contents, contents.leaf
         self.domain = domain = contents.domain if contents.folding is None else contents.folding.domain
         self.dim = domain.dim
@@ -141,7 +129,7 @@ class Program:
             self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Whether a point has an answer; its precision is :attr:`precision`."""
+        """Return whether points of at least :attr:`precision` are inside the domain."""
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
             along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
@@ -149,21 +137,21 @@ class Program:
         return reduce(and_, tests)
 
     def wrap_in_double(self, do: Operations, x: Point) -> Point:
-        """A point of 64 bits, finite along periodic axes, with those wrapped."""
+        """Wrap 64-bit points, which must be finite along periodic axes."""
         x = list(x)
         for axis, period in self.double_periods.items():
             x[axis] = wrap(do, x[axis], *period)
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """A point in 32 bits, in a far domain counted from its corner."""
+        """Return points relative to :attr:`corner`, rounded to 32 bits."""
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """A counted point of the domain, folded and wrapped."""
+        """Fold relative points of the domain, and wrap them around periodic axes."""
         x = list(x)
         if self.folding_arrays is not None:
             center, rest, axes, mirrors, ends = self.folding_arrays
@@ -175,26 +163,22 @@ class Program:
                 for axis in reversed_axes:
                     x[axis] = do.let("mirrored", do.where(is_behind, -x[axis], x[axis]))
             for axis, (lo, hi) in enumerate(ends.T):
-                if np.isfinite(hi):  # along a periodic axis nothing is clamp
+                if np.isfinite(hi):  # periodic axes are not clipped
                     x[axis] = do.let("folded", clamp(do, x[axis], lo, hi))
         for axis, period in self.periods.items():
             x[axis] = wrap(do, x[axis], *period)
         return x
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """How far a placed point is from the domain's rounded lower corner."""
+        """Return the offsets of points from the frame's lower corner."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
-        """Place along each axis."""
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """The value at a placed point of a leaf of given numbers.
-
-        If it is of cells, how many there are along each axis, and which it is, come first.
-        """
+        """Evaluate a leaf; for models of cells, ``numbers`` begins with count and position of cells on each axis."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
@@ -215,28 +199,22 @@ class Program:
         return do.root(reduce(add, [change * change for change in changes])) * rate - margin
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
-        """The source of a leaf of given numbers."""
         corner = self.frame[Frame.LO] if self.corner is None else self.corner
         return [lo + along for lo, along in zip(corner, as_sourced(self.leaf).source_of(numbers), strict=True)]
 
 
 class CodedTree:
-    """The nodes of a tree as codes: ``index << bits | kind``, of ``kind_bits`` bits.
+    """A tree whose nodes are integers ``index << kind_bits | kind``.
 
-    A split node's kind is the axis of its split and its index one of ``children``; a leaf's kind is the number of
-    axes, and its index a row of numbers.
+    A split node's kind is its axis, and its index is a row of ``children``. A leaf's kind is ``dim``, and its index
+    is a row of leaf parameters.
 
     Attributes:
-        dim: Number of axes.
-        root: Code of the root.
-        children: Codes of the lower and upper child of each split node, in the order of levels.
-        axis: Along which each is split.
-        depth: How often its cell was along that axis before.
-        code_type: The smallest type that holds all codes, of 16 or 32 bits.
+        children: Codes of the lower and upper child of each split node, in level order.
+        axis, depth: Axis of each split, and how often the cell was split along it before.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:
-        """Of a tree whose leaves are rows of a table."""
         dim = tree.cells.dim
         inner = np.flatnonzero(tree.child >= 0)
         index = np.full(len(tree.child), -1)
@@ -253,7 +231,7 @@ class CodedTree:
 def distinct_rows(
     numbers: Float[np.ndarray, "leaves count"],
 ) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
-    """The different rows of 32-bit numbers, in the order in which they come first, and which is each one."""
+    """Return the distinct rows in order of first appearance, bit for bit, and the index of each leaf's row."""
     _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
     return numbers[np.sort(first)], rank[row.ravel()]

@@ -1,5 +1,5 @@
-// Reads files of PLRs as plr_jax/plr/container.py says, of those in the plane whose leaves are cones all of it.
-// What is wrong with one is an Error, in words. It needs f and beside of javascript.py.
+// Reads PLR files of cones in the plane, and the container of files of pairs; the format is described in FORMAT.md.
+// Invalid files throw an Error with a message for users. Needs the functions f and beside of javascript.py.
 
 const fail = what => { throw new Error(what); };
 const EARLY = "the data end too early", LARGEST = 1e30, PAIRS = 7, CONE = 3;
@@ -41,9 +41,9 @@ function readDomain(reader, isFloats) {
     if (isFloats) numbers = numbers.map(() => reader.float64());
     else {
         const decimals = reader.byte();
-        if (decimals > 22) fail(`its domain has numbers of ${decimals} decimals, more than 22`);
+        if (decimals > 22) fail(`its domain has coordinates of ${decimals} decimals, more than 22`);
         numbers = numbers.map(() => reader.signed());
-        if (numbers.some(number => Math.abs(number) > 2 ** 53)) fail("its domain has numbers that are too large");
+        if (numbers.some(number => Math.abs(number) > 2 ** 53)) fail("its domain has coordinates that are too large");
         numbers = numbers.map(number => number / Number(`1e${decimals}`));
     }
     const lo = numbers.slice(0, 2), hi = numbers.slice(2);
@@ -55,7 +55,7 @@ function readDomain(reader, isFloats) {
     return { lo, hi };
 }
 
-// What a file's bytes hold: the domain, and layers. A PLR has one layer, pairs have several.
+// Decodes the container: the domain, and the layers. A PLR has one layer, files of pairs may have several.
 function readContainer(bytes) {
     const start = [...bytes.subarray(0, 4)];
     const is = text => [...text].every((letter, i) => letter.charCodeAt(0) === start[i]);
@@ -77,7 +77,7 @@ function readContainer(bytes) {
         reader.checkText(length);
         const count = reader.varint();
         if (count > 32) fail(`it states ${count} layers, more than 32`);
-        if (count && (second & 7) !== 7) fail("it begins with coarser PLRs, as progressive made them; plr_jax 0.1 reads it");
+        if (count && (second & 7) !== 7) fail("it is a progressive file of several PLRs, which only plr_jax 0.1 reads; build it again");
         sizes = Array.from({ length: count }, () => reader.varint());
     }
     const layers = [];
@@ -132,7 +132,7 @@ class BitReader {
         return values;
     }
     signed(count) { return this.coded(count).map(code => code % 2 ? (code + 1) / 2 : -code / 2); }
-    // The members of a set of so many that may be, ascending.
+    // Returns the sorted members of a subset of the integers below size.
     members(size) {
         const count = this.read(32);
         if (count > size) fail(`it names ${count} members of ${size}`);
@@ -146,9 +146,9 @@ class BitReader {
     }
 }
 
-// The tree that comes next, as a query walks it: of each split node, in the order of levels, codes of its lower and
-// upper child. A code is 4 times a number plus 2 for a leaf, whose number it is, else plus the axis along which that
-// split node is split. Leaves are numbered as the tree is traversed; levels are lists of node numbers.
+// Reads a tree into codes for a query: for each split node, in level order, the codes of its lower and upper child.
+// The code of a leaf is 4 * leaf + 2, that of a split node is 4 * (its row in the tree) + (its axis). Leaves are
+// numbered in traversal order; levels are lists of nodes.
 function readTree(body) {
     const axes = [], child = [], levels = [];
     for (let count = 1, first = 0; count; ) {
@@ -181,7 +181,7 @@ function readTree(body) {
     return { tree, root: code(0), leaves, levels, child, index };
 }
 
-// A domain as queries know it, in 32-bit floats: see plr_jax/plr/frame.py. It is counted from an origin.
+// The frame of a domain, relative to an origin: see Frame in plr_jax/plr/frame.py.
 function outward(x, isAbove) { const near = f(x); return (isAbove ? near < x : near > x) ? beside(near, isAbove) : near; }
 function frameOf(lo, hi) {
     const frame = { lo: [], hi: [], scale: [], start: [], top: [] };
@@ -207,7 +207,7 @@ function readCodes(body, count, origin) {
     const second = body.readAll(count, width);
     return [first, second].map((column, axis) => column.map(code => code + lowest[axis] + rint(origin[axis])));
 }
-// To the nearest whole number, halves to even ones.
+// Rounds to the nearest integer, ties to even.
 function rint(x) { const down = Math.floor(x), rest = x - down; return rest > 0.5 || (rest === 0.5 && down % 2) ? down + 1 : down; }
 
 function readSources(body, domain) {
@@ -235,7 +235,7 @@ function readSources(body, domain) {
     const width = count > 1 ? Math.floor(Math.log2(count - 1)) + 1 : 0;
     isRoot.forEach((root, i) => { if (!root) parent[i] = body.read(width); });
     if (parent.some(of => of >= count)) fail(`it names source ${Math.max(...parent)} of ${count}`);
-    // Distances to the goal, twice as far along the parents each time.
+    // Distances to the goal, summed along the parents by pointer doubling.
     let onward = parent, length = xs.map((x, i) => { const dx = x - xs[parent[i]], dy = ys[i] - ys[parent[i]]; return Math.sqrt(dx * dx + dy * dy); });
     for (let rest = count; rest; rest >>= 1) {
         length = length.map((way, i) => way + length[onward[i]]);
@@ -247,7 +247,7 @@ function readSources(body, domain) {
     return { x: xs, y: ys, parent, distance };
 }
 
-// The source of each leaf, from its rank among those lately used.
+// Decodes the source of each leaf: its rank in a list of sources in the order of their last use.
 function readRanks(body, leaves, count) {
     const rank = new Float64Array(leaves);
     let rest = Array.from({ length: leaves }, (_, i) => i);
@@ -265,7 +265,7 @@ function readRanks(body, leaves, count) {
     });
 }
 
-// What is proven: of each leaf how far the distance may be below and above its answers; null if nothing is.
+// Decodes the proof: the least and largest difference of distance and answer for each leaf; null without a proof.
 function readProof(body, kind, leaves) {
     if (kind === 0) return null;
     const stated = body.float32(), scale = Math.abs(stated);
@@ -294,7 +294,7 @@ function readProof(body, kind, leaves) {
     };
 }
 
-// What the reader of cones is made of: see coneReader.
+// Decodes a PLR of cones into the tables that coneReader takes.
 function readCones({ domain }, layer) {
     const body = new BitReader(layer.body), { tree, root, leaves } = readTree(body);
     const sources = readSources(body, domain), ranks = readRanks(body, leaves, sources.x.length);

@@ -1,4 +1,4 @@
-"""A PLR in NumPy alone, which answers by the arithmetic of the format."""
+"""A reader of PLRs that needs only NumPy and answers by the arithmetic of the format (``FORMAT.md``)."""
 
 import os
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from plr_jax.plr.portable.writers import Emitter, Expression
 
 
 class PythonEmitter(Emitter):
-    """Of Python, where numbers are NumPy's scalars; ``constants`` are those that the program names."""
+    """An emitter of Python on NumPy scalars; ``constants`` maps names in the program to their values."""
 
     conjunction, conditional = "and", "({1} if {0} else {2})"
     root_of, cast, definition = "float32(sqrt({}))", "float32({})", "{name} = {value}"
@@ -34,37 +34,30 @@ class PythonEmitter(Emitter):
         self.constants: dict[str, Any] = {}
 
     def literal(self, number: np.floating) -> str:
-        """The name of a constant."""
         name = f"k{len(self.constants)}"
         self.constants[name] = number
         return name
 
     def floor(self, x: Expression) -> Expression:
-        """The floor as a scalar of the same type."""
         return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """The product is exact."""
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
 
 
-_MOST_BITS = 16  # of the table, which then fits a core's second-level cache
+_MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
-    """A table of nodes, one for each cell of a grid, and the tree below them.
+    """A lookup table over a regular grid, and the tree below the grid's cells.
 
     Attributes:
-        tree: The tree.
-        bits: Of a place along each axis, that tell cells of the grid apart.
-        table: Code of the node that holds each cell, the deepest one.
-        children: Of the tree's split nodes, side by side, in the type of the table.
-        kind: The bits of a code that are its kind.
-        is_flat: Whether the table knows every leaf.
+        bits: Fraction bits along each axis that index the grid.
+        table: Code of the deepest node that holds each cell of the grid.
+        is_flat: Whether every cell of the grid lies in a single leaf.
     """
 
     def __init__(self, tree: CodedTree) -> None:
-        """Of a tree."""
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
@@ -84,7 +77,7 @@ class LeafTable:
         self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """The row of numbers for each place."""
+        """Return the row of leaf parameters for each point, given by its fraction bits."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -100,18 +93,12 @@ class LeafTable:
         return code >> self.tree.kind_bits
 
 
-# A query of a single point in Python: the arithmetic of the format, written out for one PLR.
-#
-# What the steps are is known beforehand, and so is every number but the leaf's; what is left takes a few
-# microseconds.
-
-
-_UNWRAPPED = 1 - 2.0**-48  # of the width, up to where wrapping leaves coordinates as they are, however it rounds
+_UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
 _LARGEST = float(np.finfo(np.float64).max)
 
 
 class _Rows(dict):
-    """Rows of a table as tuples of scalars, each made when it is first read."""
+    """Rows of a table as tuples of scalars, converted at first access."""
 
     def __init__(self, table: Float[np.ndarray, "rows count"]):
         self._table = table
@@ -124,23 +111,24 @@ class _Rows(dict):
 def point_query(
     program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
 ) -> Callable[..., np.float32 | None]:
-    """The value at a point, given by its coordinates; None unless it is plainly inside or outside the domain.
+    """Generate a Python function of the coordinates of a single point.
 
-    Outside it is ``inf``, or NaN where a coordinate is. ``numbers`` are those of the leaves, cells first.
+    All constants but the leaf's are known in advance, so that a call takes a few microseconds. The function returns
+    the value; ``inf`` outside the domain, NaN for NaN; or None for points so close to the boundary that rounding
+    decides.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
-    children, depth = table.children.data, tree.depth.data  # whose entries are integers of Python
+    children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
 
     def descend(code: int, fractions: tuple[int, ...]) -> int:
-        """The row of numbers for one place, below the node of that code."""
         while (axis := code & table.kind) != tree.dim:
             node = code >> tree.kind_bits
             code = children[2 * node + ((fractions[axis] >> (FRACTION_BITS - 1 - depth[node])) & 1)]
         return code >> tree.kind_bits
 
-    # 1. Outside, beyond which numbers points are however they round, and inside.
+    # 1. Conditions for points that are outside, or inside, however they are rounded.
     given = [f"x{axis}" for axis in range(program.dim)]
-    # Beside the upper end of a periodic axis, wrapping in 64 bits may lead to the lower one.
+    # Close to the upper end of a periodic axis, wrapping in 64 bits may lead to the lower end.
     unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
     last = np.where(domain.periodic, unwrapped, domain.hi)
     ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
@@ -156,7 +144,7 @@ def point_query(
         f"({name} < {least!r}) | ({name} > {most!r})" for name, (least, most) in zip(given, beyond, strict=True)
     ]
     is_nan = " or ".join(f"{name} != {name}" for name in given)
-    # 2. Its leaf.
+    # 2. Search of the leaf.
     precision = np.dtype(program.precision).name
     of_type = "float" if precision == "float32" else "double"
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
@@ -172,13 +160,13 @@ def point_query(
         if table.is_flat
         else f"descend(codes[{index}], ({', '.join(fractions)},))"
     )
-    # 3. The leaf's value.
+    # 3. Value of the leaf.
     names = [f"n{i}" for i in range(numbers.shape[1])]
     do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
     value = program.value(do, offsets, [do.atom(name) for name in names])
     lines = [
         f"if not ({' and '.join(inside)}):",
-        f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # which compares all coordinates
+        f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # `|` compares all coordinates, also NaN
         "    return None",
         *do.statements,
         f"return {value}",
@@ -200,37 +188,35 @@ def point_query(
     return names_in_source["query"]
 
 
-_CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
+_CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
 _PLAIN = (float, int, np.float64, np.float32)
 
 
 class NumpyPLR:
-    """A PLR that is queried in NumPy, without JAX: by :func:`load_numpy`, or ``plr.numpy()``.
+    """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats by the arithmetic that is part of the format
-    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. It is NaN where a
-    coordinate is, and outside the closed domain ``inf``, or what is asked for. So are those of ``plr(x)`` on a CPU,
-    but for numbers below 1e-38.
+    ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats. Results equal those of C headers
+    (:meth:`PLR.c_header`) bit for bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are
+    rounded to 32 bits; in a domain far from the origin and around periodic axes, 64-bit points are placed before
+    that.
 
-    The distance at a single point, as a tuple, a list or an array, takes a few microseconds, a batch some nanoseconds
-    a point. All else takes 50 to 250 microseconds, however few the points: waypoints, bounds, a single point around a
-    periodic axis, or one outside for which another answer than ``inf`` is asked.
-    Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far
-    from the origin, and around periodic axes.
+    A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds per point.
+    Waypoints, bounds, single points around periodic axes, and single points outside with ``outside`` other than
+    ``"inf"`` take 50 to 250 microseconds per call.
 
     Attributes:
         dim: Number of axes.
-        domain: The closed box that the PLR covers.
-        num_leaves: Number of leaves of the partition.
-        max_error: Proven bound of the largest error anywhere, in units of distance; None if there is none.
+        domain: Closed box that the PLR covers.
+        num_leaves: Number of leaves.
+        max_error: Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
     """
 
     def __init__(self, data: bytes):
-        """Of the bytes of a file; raises ``ValueError`` saying what is wrong with them."""
+        """Decode the bytes of a PLR file; raises ``ValueError`` if they are invalid."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise ValueError(
-                f"data must be the bytes of a PLR file, got {shortened(data)}; of a file's name use load_numpy, of a "
-                "PLR plr.numpy()."
+                f"data must be the bytes of a PLR file, got {shortened(data)}; for a path use load_numpy, for a PLR "
+                "call plr.numpy()."
             )
         self._data = bytes(data)
         self._program = program = Program(decode(self._data))
@@ -238,7 +224,7 @@ class NumpyPLR:
         self.num_leaves = len(cells)
         self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
         numbers = program.leaf_parameters
-        if program.leaf.is_cell_relative:  # how many cells span the domain along each axis, and which it is
+        if program.leaf.is_cell_relative:  # number of cells along each axis, position of the leaf's
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
             numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
         self._columns = np.ascontiguousarray(numbers.T)
@@ -252,31 +238,29 @@ class NumpyPLR:
         return f"NumpyPLR({self._program.leaf.name!r}, {size}{proof}, {self.domain})"
 
     def to_bytes(self) -> bytes:
-        """The bytes of the file."""
         return self._data
 
     def c_header(self, name: str) -> str:
-        """The same as one header of C99: see :meth:`PLR.c_header`."""
+        """Return the PLR as a C99 header; see :meth:`PLR.c_header`."""
         return c_header(self._program, name)
 
     def js_module(self) -> str:
-        """The same as one module of JavaScript: see :meth:`PLR.js_module`."""
+        """Return the PLR as a JavaScript module; see :meth:`PLR.js_module`."""
         return js_module(self._program)
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Any:
-        """Distance at each point.
+        """Return the distance at each point.
 
         Args:
             x: Points, ``(..., dim)``.
-            outside: What points outside the domain get, as for :func:`evaluate`: ``"inf"``; ``"clamp"``, the value at
-                the nearest point of the domain plus the straight-line distance to it, ``inf`` if a coordinate is
-                infinite in 32 bits; or ``"nan"``. It changes no answer inside.
+            outside: Answer outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`. For
+                ``"clamp"``, coordinates must be finite in 32 bits, else the answer is ``inf``.
 
         Returns:
-            Distances, ``(...)``, float32; of a single point, a scalar.
+            Distances, ``(...)``, float32; a scalar for a single point.
 
         Raises:
-            ValueError: If the points are not numbers of that shape, or ``outside`` is none of the three.
+            ValueError: If the points are not numbers of that shape, or ``outside`` is invalid.
         """
         if outside != "inf":
             outside = as_outside(outside)
@@ -286,36 +270,20 @@ class NumpyPLR:
         return answer
 
     def waypoint(self, x: ArrayLike) -> Any:
-        """Where to go straight to from each point: the source of the leaf that holds it.
+        """Return the source of the leaf that holds each point ``(..., dim)``; see :meth:`PLR.waypoint`.
 
-        Args:
-            x: Points, ``(..., dim)``.
-
-        Returns:
-            Points, ``(..., dim)``, float32, in a domain far from the origin float64; NaN outside the domain and for
-            NaN.
-
-        Raises:
-            ValueError: If leaves have no sources, as only those of cones do, or as for a query.
+        Results are float32, or float64 in a domain far from the origin.
         """
         as_sourced(self._program.leaf)
         return self._evaluate(x, self._waypoints, (self.dim,))
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
-        """Proven bounds of the distance at each point from which the goal can be reached, as :meth:`PLR.bounds`.
+        """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
 
-        Args:
-            x: Points, ``(..., dim)``.
-
-        Returns:
-            Lower bounds, at least 0, and upper bounds, ``(...)`` each, float32. Both are ``inf`` outside the domain,
-            NaN where a coordinate is.
-
-        Raises:
-            ValueError: If nothing is proven of the PLR, or as for a query.
+        Raises ``ValueError`` if nothing is proven of the PLR. Results are float32.
         """
         if self._band is None:
-            raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or use certify.")
+            raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or call certify.")
         answers = self._evaluate(x, self._bounds, (2,))
         return answers[..., 0], answers[..., 1]
 
@@ -324,7 +292,7 @@ class NumpyPLR:
         return point_query(self._program, self._table, self._columns.T)
 
     def _at_point(self, x: ArrayLike) -> np.float32 | None:
-        """The value at a single point, ``inf`` outside; None of what is none, or not plainly in or out."""
+        """Return the value at a single point, or None if :func:`point_query` does not apply."""
         if type(x) is np.ndarray:
             if x.ndim != 1:
                 return None
@@ -335,13 +303,13 @@ class NumpyPLR:
             return None
         try:
             return self._point_query(*x)
-        except (TypeError, ValueError):  # of coordinates that are no numbers
+        except (TypeError, ValueError):  # coordinates that are no numbers
             return None
 
     def _evaluate(
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
-        """Answers of that shape to points, chunk by chunk."""
+        """Apply ``answer``, whose results have the given shape at each point, to points in chunks."""
         x, program = as_queries(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
@@ -372,12 +340,11 @@ class NumpyPLR:
         return answers.reshape((*x.shape[:-1], *shape))[()]
 
     def _evaluate_inside(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Answers to points of the domain, by columns."""
         offsets = self._program.offsets(ARRAYS, self._program.fold_and_wrap(ARRAYS, relative))
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
+        """Evaluate at the nearest points of the domain and add the distances to them."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
@@ -395,7 +362,7 @@ class NumpyPLR:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        assert self._band is not None, "bounds are asked for where there is a proof"
+        assert self._band is not None, "bounds are called only with a proof"
         value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
         if (straight := self._program.straight_bound(ARRAYS, offsets)) is not None:
@@ -406,16 +373,10 @@ class NumpyPLR:
 
 
 def load_numpy(path: str | os.PathLike) -> NumpyPLR:
-    """Read a PLR that :func:`save` wrote, to query it in NumPy: JAX is not imported.
-
-    Args:
-        path: The file.
-
-    Returns:
-        What answers points, by the arithmetic that is part of the format.
+    """Read a PLR that :func:`save` wrote, without importing JAX.
 
     Raises:
-        ValueError: If the file is truncated, corrupt, no PLR file, of pairs, or of another version of the format.
+        ValueError: If the file is no valid PLR file of a version that this release reads, or holds pairs.
         OSError: If the file cannot be read.
     """
     path = file_path(path)

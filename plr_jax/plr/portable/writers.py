@@ -1,4 +1,7 @@
-"""Operations that write a program: values are its expressions, and those that have a name are its statements."""
+"""Emitters: operations that generate code instead of computing.
+
+Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names one.
+"""
 
 import re
 from abc import ABC, abstractmethod
@@ -14,18 +17,15 @@ from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.portable.arithmetic import Operations, Program
 
-_ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # how tightly each binds
+_ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence of operators
 
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """An expression. Operators join texts as they join numbers, with the parentheses that the order needs.
+    """Text of an expression; Python's operators combine texts, with the parentheses that precedence requires.
 
-    Attributes:
-        text: As it stands in the program.
-        level: How tightly its outermost operator binds.
-        type: What it is: ``float``, ``double``, ``int`` of conditions, or ``uint32_t``.
-        language: That of the program.
+    ``level`` is the precedence of the outermost operator, ``type`` is ``float``, ``double``, ``int`` (conditions) or
+    ``uint32_t``.
     """
 
     text: str
@@ -39,12 +39,12 @@ class Expression:
         return self.text
 
     def at_least(self, level: int) -> str:
-        """The text, in parentheses if it binds less tightly."""
+        """Return the text, in parentheses if its precedence is lower than ``level``."""
         return self.text if self.level >= level else f"({self.text})"
 
     def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
         of_type = "double" if "double" in (left.type, right.type) else "float"
-        # Sums and products are from left to right.
+        # Operators of equal precedence associate to the left.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
         value = Expression(text, level, of_type, self.language)
         return value if self.language.is_rounded or of_type == "double" else self.language.rounded(value)
@@ -89,15 +89,13 @@ class Expression:
 
 
 class Emitter(Operations, ABC):
-    """Operations that write statements, one a name.
+    """A base of emitters; subclasses define these templates of the target language.
 
     Attributes:
-        conjunction: How both of two conditions are asked for.
-        conditional: An expression of a condition and two values.
-        root_of: The root of a 32-bit float, in 32 bits: that of 64 bits, rounded, is the same.
-        cast: A value in 32 bits.
-        definition: The statement that gives a value of some type its name.
-        is_rounded: Whether what an operation gives is in the precision of its type as it is.
+        conjunction, conditional: Logical and; conditional expression.
+        root_of: Square root of a 32-bit float, rounded to 32 bits; a 64-bit root that is then rounded is the same.
+        cast, definition: Rounding to 32 bits; assignment of a value to a new variable.
+        is_rounded: Whether 32-bit operations are rounded to 32 bits without a cast.
     """
 
     conjunction, conditional = "&&", "({} ? {} : {})"
@@ -111,11 +109,11 @@ class Emitter(Operations, ABC):
         self._names: Counter[str] = Counter()
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
-        """An expression that needs no parentheses."""
+        """Return an expression that never needs parentheses."""
         return Expression(text, _ATOM, of_type, self)
 
     def constant(self, value: Any) -> Expression:
-        """A number as it stands in the program; a text as it is."""
+        """Return the literal of a number; expressions are returned unchanged."""
         if isinstance(value, Expression):
             return value
         number = value if isinstance(value, np.floating) else np.float32(value)
@@ -123,7 +121,7 @@ class Emitter(Operations, ABC):
         return Expression(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
 
     def let(self, name: str, value: Any) -> Expression:
-        """A new name, numbered, for an expression; a name stays what it is."""
+        """Assign an expression to a new, numbered variable; variables are returned unchanged."""
         if value.text.isidentifier():
             return value
         unique = f"{name}_{self._names[name]}"
@@ -132,32 +130,27 @@ class Emitter(Operations, ABC):
         return self.atom(unique, value.type)
 
     def where(self, condition: Expression, yes: Any, no: Any) -> Expression:
-        """One of two values."""
         yes, no = self.constant(yes), self.constant(no)
         return self.atom(self.conditional.format(condition, yes, no), no.type)
 
     def root(self, x: Expression) -> Expression:
-        """The square root of a 32-bit number."""
         return self.atom(self.root_of.format(x))
 
     def rounded(self, x: Expression) -> Expression:
-        """The value in 32 bits."""
         return self.atom(self.cast.format(x))
 
     @abstractmethod
-    def literal(self, number: np.floating) -> str:
-        """A number."""
+    def literal(self, number: np.floating) -> str: ...
 
     @abstractmethod
-    def floor(self, x: Expression) -> Expression:
-        """The largest integer that is not above, in the same type."""
+    def floor(self, x: Expression) -> Expression: ...
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """The 23 bits behind the point: in Python as they are, elsewhere at the upper end of a word."""
+        """Return the 23 fraction bits: in Python as an integer, elsewhere at the upper end of a word."""
 
     def used_statements(self) -> list[str]:
-        """All statements of C or JavaScript but constants that no later one reads."""
+        """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
         kept: list[str] = []
         for statement in reversed(self.statements):
             name = re.match(r"const (?:\w+ )?(\w+) = ", statement)
@@ -173,17 +166,11 @@ def write_lookup(
     read_leaf: Callable[[Any, list[Expression]], list[Expression]],
     outside: list[str],
 ) -> tuple[list[Expression], list[Expression]]:
-    """Write a function of C or JavaScript, of a point ``x``, as far as its leaf.
+    """Emit a C or JavaScript function of a point ``x``, up to the search of its leaf.
 
-    Args:
-        do: What writes it.
-        program: What it computes.
-        of_type: Of the coordinates that are given, ``float`` or ``double``.
-        read_leaf: Writes by ``do`` how the leaf at fractions along each axis is found, and returns its numbers.
-        outside: Statements for points outside the domain.
-
-    Returns:
-        How far the placed point is above the domain's lower corner, and the leaf's numbers.
+    ``read_leaf`` emits that search, given the fraction bits, and returns the leaf parameters. ``outside`` are the
+    statements for points outside the domain. Returns the offsets from the domain's lower corner, and the leaf
+    parameters.
     """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
@@ -195,34 +182,32 @@ def write_lookup(
 
 
 def nan_condition(dim: int) -> str:
-    """The condition of C and JavaScript that a coordinate of ``x`` is NaN."""
     return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
 
 
 def require_identifier(name: object) -> None:
-    """``ValueError`` unless definitions of C may begin with it."""
+    """Raise ``ValueError`` unless the name is a C identifier that begins with a letter."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
+        raise ValueError(f"name must be a C identifier, such as plr_maze, got {shortened(name)}.")
 
 
 def format_domain(domain: Box) -> str:
-    """A domain as readers of code know it."""
+    """Format a domain for a comment, such as ``[0, 1] x [0, 6.28) periodic``."""
     return " x ".join(
         f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
         for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
     )
 
 
-_WIDTH = 100  # of a line
+_WIDTH = 100  # of a line of generated code
 
 
 def indent(lines: Iterable[str]) -> list[str]:
-    """Lines farther right."""
     return [f"    {line}" for line in lines]
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Entries, separated by commas, in lines that are full."""
+    """Join entries with commas and wrap the lines."""
     lines, line = [], ""
     for entry in entries:
         if len(line) + len(entry) > _WIDTH:
