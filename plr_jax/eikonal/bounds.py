@@ -35,10 +35,8 @@ from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxe
 
 # Most voxels of volumes whose paths from voxel to voxel are upper bounds.
 _MOST_VOXELS = 1 << 24
-# Pairs of a leaf and a voxel handled at a time.
-_PAIRS_AT_ONCE = 1 << 20
-# Boxes handled at a time: beyond five axes each has thousands of places.
-_BOXES_AT_ONCE = 1 << 10
+_PAIRS_AT_ONCE = 1 << 20  # of a leaf and a voxel
+_BOXES_AT_ONCE = 1 << 10  # beyond five axes each has thousands of places
 # Step of stored values as a share of the mean distance of the bounds, and least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
 # Share of its bounds by which an estimate must be outside of them for a warning; bounds below the second share of the
@@ -154,17 +152,9 @@ class CostToGoField:
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
         """Bound the cost-to-go minus multilinear functions over boxes in open cells.
 
-        The bounds include points that rounding may place in a box; the function is then meant at the nearest point of
-        the box.
-
-        Args:
-            cell: The cell of each box.
-            lo: Its lower corner in the cell, from 0 to 1.
-            hi: Its upper corner.
-            corners: The function's values at the box's corners.
-
-        Returns:
-            Lower bounds, and upper bounds: ``inf`` if no path is known from all free points of the box.
+        Boxes are in local coordinates of their cell, functions by their values at the boxes' corners. The bounds
+        include points that rounding may place in a box, for the function at the nearest point of the box. Upper
+        bounds are ``inf`` if no path is known from all free points.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -396,13 +386,6 @@ def _above_voxel_paths(
     From a point of a free voxel, a straight motion leads to the voxel's center, and 26 moves lead on to the goal.
     These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, and for other than three
     axes.
-
-    Args:
-        field: The bounds on the mesh.
-        space: The voxels.
-        cells: The leaves.
-        coefficients: The function's values at the corners of each leaf.
-        across: The largest change of the function along each axis of a leaf.
     """
     grid, goal = space.grid, space.domain.at(field.paths.points[-1])
     above = np.full(len(cells), np.inf)

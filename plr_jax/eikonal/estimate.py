@@ -44,14 +44,10 @@ _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_00
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
 # Least number of nodes a leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
 _NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
-# Relative rounding error by which a number of steps may differ from a whole number.
-_ROUND = 1e-9
-# Most steps of a stencil edge along an axis, by the number of axes of a block.
-_REACH = {1: 1, 2: 3, 3: 2}
-# Cells along each axis of the blocks that are classified first.
-_BLOCK = 8
-# Half width, in steps, of the box around an open node that must be free.
-_CLEAR = 1e-3
+_ROUND = 1e-9  # relative rounding error of numbers of steps
+_REACH = {1: 1, 2: 3, 3: 2}  # of stencil edges in steps, by the number of axes of a block
+_BLOCK = 8  # cells along each axis of the blocks that are classified first
+_CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 # Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within
 # differ from the cost at the goal by more than the factor.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
@@ -111,13 +107,8 @@ def grid_estimate(
     """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and 200,000 to a million in space.
 
     Nodes are the centers of voxels, or of the cells of a :class:`RasterCost` that fills the domain. If these are few,
-    each cell is divided into an odd number of parts along each axis.
-
-    Args:
-        space: The configuration space, of up to three axes.
-        cost_map: The factor of the cost of motions, or None.
-        goal: The goal, a free configuration.
-        num_leaves: Number of leaves to be fitted to the estimate. The grid has at least 16 nodes for each.
+    each cell is divided into an odd number of parts along each axis. For ``num_leaves`` leaves there are at least 16
+    nodes each.
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)

@@ -17,8 +17,7 @@ from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-# Most boxes a cell of the grid that locates points.
-_COARSE = 4
+_COARSE = 4  # boxes a cell of the grid that locates points
 # Largest aspect of cells: beyond it, the equations lose all digits along the long axis.
 _MOST_SLENDER = 2e5
 # Share of its largest width above which a cell is halved along an axis.
@@ -38,13 +37,8 @@ class Mesh:
     """The dyadic cells of a domain, in the order of the tree's traversal, and the state of each.
 
     Points are *fractions* of the domain, from 0 to 1 along each axis, or *local* coordinates in a cell, from 0 to 1.
-
-    Args:
-        domain: The box that the cells fill.
-        tree: The tree of the cells.
-        state: The :class:`CellState` of each cell.
-        is_flush: Which blocked cells border on free space. Rounding may place free points in such a cell, so it
-            answers as the open cells beside it do.
+    Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so it
+    answers as the open cells beside it do.
     """
 
     domain: Box
@@ -153,7 +147,6 @@ class Mesh:
     def _descended(
         self, node: CellIndex, slot: Int[np.ndarray, "n dim"], most: Int[np.ndarray, "dim"] | None = None
     ) -> CellIndex:
-        """Return the descendants, at most ``most`` deep, of nodes that hold slots as wide as the smallest cells."""
         tree, row, node = self.tree, np.arange(len(node)), node.copy()
         while True:
             at, axis = node[row], tree.axis[node[row]]
@@ -215,15 +208,10 @@ class Mesh:
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
-        """Return the mesh with some cells halved along all their long axes.
+        """Return the mesh with some cells halved along all their long axes, in order, while there is room.
 
         If halving a mixed cell along one axis gives a half that is proven, only this axis is halved: walls along
         halves of cells then take few cells.
-
-        Args:
-            which: The cells, in the order in which they are refined.
-            space: The configuration space.
-            room: Most cells to add; None: no limit.
         """
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that one adds
         while num < len(which) and (room is None or room >= most):

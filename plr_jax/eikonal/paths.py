@@ -28,14 +28,11 @@ from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 # Most rounds of straightening, and the share of all costs that a round must gain for another one.
 _ROUNDS, _ENOUGH = 24, 1e-4
-# Share of its cost that a change of a path must gain.
-_GAIN = 1e-9
+_GAIN = 1e-9  # that a change of a path must have, as a share of its cost
 # Distance beyond a face at which the next cell is located, as a share of the domain.
 _AHEAD = 2.0**-44
-# Share by which costs are increased to cover rounding.
-_ROUNDING = 1e-10
-# Edges handled at a time, which bounds the memory.
-_EDGES_AT_ONCE = 1 << 18
+_ROUNDING = 1e-10  # share by which upper bounds are increased
+_EDGES_AT_ONCE = 1 << 18  # bounds the memory
 # Most nodes, the nearest ones, that are joined to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
@@ -124,15 +121,11 @@ class _FreeGraph:
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
-        """Return motions between nodes, the short way around periodic axes."""
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, goal: Point) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield pairs of nodes of one closed free cell, sorted, and upper bounds of the straight motions' costs.
-
-        Edges come for some nodes at a time, because in many axes cells share most of their many pairs of corners.
-        """
+        """Yield edges, sorted, for some nodes at a time: cells of many axes share most of their pairs of corners."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         home = mesh.locate(goal[None])

@@ -49,22 +49,16 @@ _LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell.
+    """Bounds of the cost of motions in each cell, and for points beside it that a query may place in it.
 
     A motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``, where ``|dq|`` is
     the norm ``motion``. Without pulls, the factor of ``|dq|`` also lies between two linear functions of the place.
-    Upper bounds also hold for points beside a cell that a query may place in it.
 
     Attributes:
-        motion: The norm of motions.
-        cost_map: The factor of the norm, or None if it is 1.
-        lower: The least factor in each cell.
-        upper: The largest factor in each cell.
         slope: Change of the linear bounds across each cell, along each axis.
         least: The lower linear bound in the middle of the cell.
         most: The upper linear bound in the middle of the cell.
-        pulls: Two vectors a cell, for costs that depend on the direction, or None. The larger of their products with
-            a motion adds to its cost.
+        pulls: Two vectors a cell, for costs that depend on the direction, or None.
     """
 
     motion: MotionCost
@@ -140,17 +134,10 @@ def rescaling_of(
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
     """Return a piecewise linear function of the values that makes too large slopes admissible.
 
-    In each cell whose slope exceeds the constraint by a factor ``s``, values are bent by a function of slope at most
-    ``1 / s``. Values farther from the goal move down by the loss alone, far less than if all were divided by the
-    largest factor.
-
-    Args:
-        lowest: The lowest value in each cell.
-        highest: The highest value in each cell.
-        factor: The factor of each cell.
-
-    Returns:
-        The breakpoints, ascending, and the function there: 0 at 0, with a slope of at most 1.
+    Wherever the slope in a cell, with values from ``lowest`` to ``highest``, is ``factor`` times too large, the
+    function has at most the slope ``1 / factor``. Values farther from the goal move down by the loss alone, far less
+    than if all were divided by the largest factor. Returned are breakpoints, ascending, and the function there, 0 at
+    0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -167,14 +154,9 @@ def rescaling_of(
 class SlopeSets:
     """The convex set of admissible gradients of a lower bound at each control point.
 
-    A lower bound may fall along a motion ``dq`` by at most the motion's cost. So minus its gradient lies in the set
-    whose support function is that cost: a ball for a length, a product of balls for a sum over blocks, and with pulls
-    a ball moved along a segment. Gradients are in coordinates in which a step of length 1 in a block costs 1.
-
-    Attributes:
-        blocks: The axes of each block.
-        radius: Radius of the balls at each control point.
-        pulls: Ends of the segment at each control point, for a single block; or None.
+    A lower bound may fall along a motion by at most the motion's cost. So minus its gradient lies in the set whose
+    support function is that cost: a ball for a length, a product of balls for a sum over blocks, and with pulls a
+    ball moved along the segment between them. Coordinates are such that a step of length 1 in a block costs 1.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -194,7 +176,6 @@ class SlopeSets:
         return nearest + offset
 
     def _nearest_offset(self, g: Vectors) -> Vectors | float:
-        """Return the nearest points of the negative segments."""
         if self.pulls is None:
             return 0.0
         first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
@@ -242,10 +223,7 @@ class SlopeProgram:
     """The program on one finite-element space.
 
     Attributes:
-        space: The finite-element space.
         gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of the sets.
-        costs: Bounds of the cost of motions in each cell.
-        volume: Volume of each control point.
         weight: The integral of each basis function.
         goal: Maps degrees of freedom to the value at the goal.
         at: The goal, a fraction of the domain.
@@ -291,7 +269,6 @@ class SlopeProgram:
         return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
 
     def _linear(self, middle: Float[np.ndarray, "cells"]) -> PerControl:
-        """Return a linear bound of the factor at each control point, from its values in the middle of cells."""
         cell = self.space.mesh.open_cells
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
@@ -340,13 +317,7 @@ class SlopeProgram:
         return float(self.volume[within] @ climbed + self.weight.sum() * (self.goal @ excess))
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Iterate a few times: enough to find where the mesh is too coarse.
-
-        Args:
-            num_iterations: Number of iterations.
-            start: Values and flow to begin with; None: 0.
-            factor_at: Iterations before which penalties are set to the flow, and the matrix is factored.
-        """
+        """Iterate, with penalties set to the flow before the iterations ``factor_at``; None starts at 0."""
         if start is None:
             start = Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
         state = _Splitting(self, start, _LEAST_PENALTY)
@@ -375,8 +346,7 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
 
-    Values ``u`` solve a Poisson equation, ``z`` is the projection of their gradients to the sets, and ``penalty * y``
-    is the flow.
+    ``z`` is the projection to the sets of the gradients of the values ``u``; ``penalty * y`` is the flow.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):

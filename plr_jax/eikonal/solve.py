@@ -31,14 +31,11 @@ from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap,
 # Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
-# More leaves a byte than in any file.
-_LEAVES_PER_BYTE = 2
-# Least bytes of memory a cell.
-_BYTES_A_CELL = 4_000
+_LEAVES_PER_BYTE = 2  # more than in any file
+_BYTES_A_CELL = 4_000  # of memory, at the least
 # Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
 _CUT_OFF_SPLITS = 6
-# Least cost that 32 bits resolve.
-_LEAST_COST = 1e-30
+_LEAST_COST = 1e-30  # that 32 bits resolve
 # Share of the domain by which a goal may lie outside, as goals free to a tolerance may.
 _BESIDE = 1e-6
 
@@ -179,7 +176,6 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
 
 
 def _require_costs(largest: float) -> None:
-    """Raise ``ValueError`` if all costs-to-go are below what 32 bits hold."""
     if 0 < largest < _LEAST_COST:
         raise ValueError(
             f"Costs must come to {_LEAST_COST:g} somewhere, got {largest:g} at the most: 32 bits hold none so small. "
@@ -190,7 +186,6 @@ def _require_costs(largest: float) -> None:
 def _field(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int, tolerance: float
 ) -> CostToGoField:
-    """Find bounds of the cost-to-go, and an estimate, on meshes of at most ``most`` cells."""
     solver = SlopeSolver(space, cost_map, goal, most, tolerance)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
@@ -212,8 +207,7 @@ def _field(
 
 # Share of the cells in the first mesh, and least number: in a single cell, flows to a goal in its middle cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
-# Share of the loss that the refined cells have.
-_SHARE = 0.8
+_SHARE = 0.8  # of the loss, in the refined cells
 # If mixed cells have more than the first share of the loss, flows leak through walls. Some cells are then left for
 # later, unless fewer than the second share of all are left.
 _LEAKING, _LAST = 0.1, 0.01
@@ -227,22 +221,16 @@ _FACTORED_FIRST = (20, 40, 80)
 _DETOUR = 16
 # Most splits along an axis, if a query's tables resolve as many.
 _DEEPEST = 13
-# Distance of points from the faces of their cell, as a share of it.
-_INSET = 1e-9
+_INSET = 1e-9  # of points from the faces of a cell, as a share of it
 Point = Float[np.ndarray, "dim"]
 
 
 class SlopeSolver:
     """The slope program on meshes that become finer.
 
-    Args:
-        space: The configuration space.
-        cost_map: A factor of the cost of motions, or None.
-        goal: The goal, a fraction of the domain.
-        max_cells: Most cells.
-        tolerance: Mean loss at which the mesh is fine enough.
-
     Attributes:
+        goal: The goal, a fraction of the domain.
+        tolerance: Mean loss at which the mesh is fine enough.
         program: The program on the finest mesh so far.
         iterate: Its solution; None before there is one.
     """
