@@ -261,25 +261,7 @@ class Mesh:
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
     """Return a mesh of at least ``num_cells`` cells, if ``max_cells`` allows, of about equal widths."""
-    scale = space.motion_cost.scale
-    depth = even_depth(space.domain, scale, num_cells, max_cells)
-    width = np.ldexp(space.domain.width * scale, -depth)
-    if width.max() > _MOST_SLENDER * width.min():
-        raise ValueError(
-            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
-            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
-        )
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
-    position = position.reshape(-1, space.domain.dim)
-    cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
-
-
-def even_depth(
-    domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
-) -> Int[np.ndarray, "dim"]:
-    """Return the splits along each axis for at least ``num_cells`` cells of about equal widths by a scale."""
+    domain, scale = space.domain, space.motion_cost.scale
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
@@ -292,7 +274,17 @@ def even_depth(
         depth[np.argmax(np.where(depth > least, depth, -1))] -= 1
     while 2.0 ** depth.sum() < num_cells and 2.0 ** (depth.sum() + domain.dim) <= max_cells:
         depth += 1
-    return depth
+    width = np.ldexp(width, -depth)
+    if width.max() > _MOST_SLENDER * width.min():
+        raise ValueError(
+            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
+            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
+            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
+        )
+    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
+    position = position.reshape(-1, space.domain.dim)
+    cells = Cells(np.tile(depth, (len(position), 1)), position)
+    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
 
 
 def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
