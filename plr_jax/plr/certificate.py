@@ -328,9 +328,9 @@ class Certificate:
         scale: Of the codes: the largest bound there is; exact in 32 bits.
         codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
         proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
-        straight: A lower bound by the straight line to the goal: ``rate`` times the length, less a margin for
-            rounding, but nowhere above the answer. The goal, counted from the lower corner of the domain, then the rate and the margin, as 32-bit
-            floats. None if there is no such bound. For open leaves only.
+        straight: A lower bound by the straight line to the goal, for open leaves, or None. It is ``rate`` times the
+            length, less a margin for rounding, but nowhere above the answer. Held are the goal, counted from the
+            lower corner of the domain, the rate and the margin, as 32-bit floats.
     """
 
     scale: float
