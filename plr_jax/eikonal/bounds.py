@@ -136,7 +136,7 @@ class CostToGoField:
         if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of these
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
-                "bounds. There the PLR answers the nearer bound. Allow more max_leaves.",
+                "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",
                 stacklevel=5,
             )
         values = np.zeros(mesh.corners.shape)

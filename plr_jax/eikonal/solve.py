@@ -178,7 +178,7 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
 def _require_costs(largest: float) -> None:
     if 0 < largest < _LEAST_COST:
         raise ValueError(
-            f"Costs must come to {_LEAST_COST:g} somewhere, got {largest:g} at the most: 32 bits hold none so small. "
+            f"Costs must come to {_LEAST_COST:g} somewhere, got at most {largest:g}, which 32 bits do not hold. "
             "Give the domain, or the costs, in smaller units."
         )
 
@@ -193,7 +193,7 @@ def _field(
         except KeyboardInterrupt:
             if solver.iterate is None:
                 raise
-            message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
+            message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR has these cells."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
     guide = grid_estimate(space, cost_map, domain.at(goal)) if mesh.dim <= MOST_AXES else None
@@ -291,7 +291,7 @@ class SlopeSolver:
         if not has_converged:
             warnings.warn(
                 f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
-                "ones may be looser than cells allow. Compare those of another max_leaves.",
+                "bounds may be looser than the cells allow. Compare the bounds of another max_leaves.",
                 stacklevel=4,
             )
 
