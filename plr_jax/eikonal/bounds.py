@@ -1,7 +1,7 @@
-"""What is found of the cost-to-go: a proven lower and upper bound, an estimate between them, and the PLR of these.
+"""Bounds of the cost-to-go on a mesh, an estimate between them, and their PLR.
 
-The PLR has a leaf for each cell of the mesh or, if bytes are limited, leaves of a partition of its own. Then the
-bounds of a leaf are the worst ones of all cells that it meets.
+The PLR has a leaf for each cell of the mesh or, if bytes are limited, leaves of its own partition. The bounds of such
+a leaf are the worst bounds of all cells that it meets.
 """
 
 import warnings
@@ -33,20 +33,17 @@ from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
-# Volumes of more voxels have upper bounds by the mesh alone.
+# Most voxels of volumes whose paths from voxel to voxel are upper bounds.
 _MOST_VOXELS = 1 << 24
-# Pairs of a leaf and a voxel that are looked at together.
-_PAIRS_AT_ONCE = 1 << 20
-# Boxes bounded at a time, which bounds the memory: beyond five axes each has thousands of places.
-_BOXES_AT_ONCE = 1 << 10
-# The step of stored values, over the mean distance of the bounds, and at least over the largest value.
+_PAIRS_AT_ONCE = 1 << 20  # of a leaf and a voxel
+_BOXES_AT_ONCE = 1 << 10  # beyond five axes each has thousands of places
+# Step of stored values as a share of the mean distance of the bounds, and least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# Share of its bounds by which an estimate outside of them deserves a warning; and the share of the largest bound
-# below which the bounds are too small to be compared with.
+# Share of its bounds by which an estimate must be outside of them for a warning; bounds below the second share of the
+# largest bound count as that much.
 _OFF, _NEAR = 0.1, 0.01
 
-# Share of a straight line's length that is more than its evaluation in 32 bits rounds; and costs of straight lines
-# whose squares 32 bits hold.
+# Relative margin for the length of a straight line in 32 bits, and costs whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -61,15 +58,14 @@ class MeshEstimate:
     """An estimate of the cost-to-go on a mesh.
 
     Attributes:
-        mesh: The cells.
-        corner_values: The estimate at the corners of open cells; 0 at those of blocked ones.
+        corner_values: The estimate at the corners of open cells; 0 at corners of blocked cells.
     """
 
     mesh: Mesh
     corner_values: CellCorners
 
     def __call__(self, x: Points) -> Numbers:
-        """The estimate at points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
+        """Return the estimate at points, multilinear in each cell; ``inf`` in blocked cells."""
         mesh = self.mesh
         at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
         cell = mesh.locate(at)
@@ -79,21 +75,21 @@ class MeshEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CostToGoField:
-    """A proven lower bound of the cost-to-go on a mesh, a proven upper one, and an estimate between them.
+    """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them.
 
     Attributes:
-        program: The program whose solution bounds the cost-to-go from below.
-        values: That solution, 0 at the goal; its slopes may be a little too steep.
-        paths: The paths that bound the cost-to-go from above.
-        likely: An estimate at the nodes of the mesh; ``inf`` where there is none.
+        program: The program for the lower bound.
+        values: Its solution, 0 at the goal; slopes may be a little too large before they are rescaled.
+        paths: The paths that give the upper bound.
+        nodal_estimate: An estimate at the nodes of the mesh; ``inf`` if there is none.
         space: The configuration space.
-        guide: The estimate anywhere; None beyond three axes.
+        guide: The estimate at any point; None beyond three axes.
     """
 
     program: SlopeProgram
     values: Float[np.ndarray, "dofs"]
     paths: NodePaths
-    likely: Float[np.ndarray, "nodes"]
+    nodal_estimate: Float[np.ndarray, "nodes"]
     space: ConfigurationSpace
     guide: GridEstimate | None
 
@@ -104,7 +100,6 @@ class CostToGoField:
 
     @cached_property
     def _nodal(self) -> Float[np.ndarray, "cells nodes"]:
-        """Values at the nodes of each cell."""
         return (self.program.space.values @ self.values).reshape(len(self.mesh.state), -1)
 
     @cached_property
@@ -113,7 +108,7 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
-        """The lower bound at the corners of cells, except for rounding."""
+        """The lower bound at the corners of cells, up to rounding."""
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
@@ -122,26 +117,26 @@ class CostToGoField:
 
     @cached_property
     def _corner_costs(self) -> CellCorners:
-        """The cost of a path from each corner of open cells; ``inf`` where there is none."""
+        """The cost of a path from each corner of open cells; ``inf`` if there is none."""
         is_open = self.mesh.state != CellState.BLOCKED
         return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, within the bounds; where there is none, as far above the lower one as near by.
+        """The estimate, clipped to the bounds, and extended where there is none.
 
-        A ``UserWarning`` says where the bounds prove that the estimate was off by more than a tenth.
+        A ``UserWarning`` says where the estimate was outside of its bounds by more than a tenth.
         """
         mesh, lower, upper = self.mesh, self._lower_at_corners, self._corner_costs
         node, cell = mesh.corners[mesh.open_cells], mesh.open_cells
-        excess = np.where(np.isfinite(self.likely), self.likely, np.nan)[node] - lower[cell]
+        excess = np.where(np.isfinite(self.nodal_estimate), self.nodal_estimate, np.nan)[node] - lower[cell]
         is_off = np.maximum(-excess, excess + lower[cell] - upper[cell]) > _OFF * np.maximum(
             lower[cell], _NEAR * lower.max()
         )
-        if is_off.any() and not isinstance(self.space, CheckedSpace):  # of which nothing is proven
+        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of these
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
-                "bounds. There the PLR answers the nearer bound. Allow more max_leaves.",
+                "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",
                 stacklevel=5,
             )
         values = np.zeros(mesh.corners.shape)
@@ -150,24 +145,16 @@ class CostToGoField:
 
     @property
     def mean_gap(self) -> float:
-        """Mean distance of the bounds at the corners of cells that have both."""
+        """Mean distance of the bounds at the corners that have both."""
         known = np.isfinite(self._corner_costs)
         return float((self._corner_costs - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bounds of the cost-to-go minus multilinear functions over boxes in open cells.
+        """Bound the cost-to-go minus multilinear functions over boxes in open cells.
 
-        They also hold for points beside a box that a query may place in it, if the function is evaluated at the
-        nearest point of the box.
-
-        Args:
-            cell: The cell of each box.
-            lo: Its lower corner in the cell, from 0 to 1.
-            hi: Its upper corner.
-            corners: The function's values at the box's corners.
-
-        Returns:
-            Lower bounds, and upper ones: ``inf`` where no path is known from all free points of the box.
+        Boxes are in local coordinates of their cell, functions by their values at the boxes' corners. The bounds
+        include points that rounding may place in a box, for the function at the nearest point of the box. Upper
+        bounds are ``inf`` if no path is known from all free points.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -176,17 +163,17 @@ class CostToGoField:
         vertices = np.stack([np.flatnonzero(np.all(np.abs(shares - middle) <= 0.25, axis=1)) for middle in middles])
         for some in parts(np.ones(len(cell), np.int64), _BOXES_AT_ONCE):
             c, spare = cell[some], self._spare[cell[some]]
-            # 1. Lower bounds: control values of the lower bound less the function are bounds of the difference.
+            # 1. Lower bounds: control values of the difference bound it.
             at = lo[some, None] + (hi - lo)[some, None] * space.lattice
             weights = basis(space.degree, at.reshape(-1, dim)).reshape(*at.shape[:2], -1)
             control = np.einsum("nij,nj->ni", weights, self._nodal[c]) @ to_bernstein(space.degree, dim).T
             function, highest = corners[some] @ basis(1, space.lattice).T, control.max(axis=1)
-            bent = np.interp(highest, *self._rescaling) - highest  # most where the value is largest
+            bent = np.interp(highest, *self._rescaling) - highest  # largest for the largest value
             straight = self._below_straight(*(mesh.domain.at(mesh.fractions(c, end[some])) for end in (lo, hi)))
             proven = (control - function).min(axis=1) + bent
             below[some] = np.maximum(proven, (straight - corners[some]).min(axis=1)) - spare
-            # 2. Upper bounds, by straight motions to corners of the cell or to its targets. Their costs are convex:
-            #    the most is at a vertex of a part of the box.
+            # 2. Upper bounds by straight motions to corners of the cell, or to its targets. Costs are convex, so the
+            #    largest is at a vertex of a part of the box.
             at = lo[some, None] + (hi - lo)[some, None] * shares
             function = corners[some] @ basis(1, shares).T
             most = np.full((len(c), len(vertices)), np.inf)
@@ -207,12 +194,12 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return a linear function below the cost of straight motions from boxes to the goal, at the boxes' corners.
+        """Return, at the corners of boxes, linear lower bounds of the cost of straight motions to the goal.
 
-        The function touches the least cost of these motions at the middle of the box.
+        They are tangent to the least cost of these motions at the middle of the box.
         """
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
-        if domain.is_periodic:  # straight motions go either way around, so their cost is not convex
+        if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
         goal = domain.at(self.paths.points[-1])
         middle, slope = (lo + hi) / 2 - goal, np.zeros_like(lo)
@@ -224,10 +211,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Nodes on the way from corners of cells, or the goal, that are seen from everywhere in a cell; -1 for none.
-
-        They are if a box that holds both is free.
-        """
+        """Path nodes, or the goal, that a free box joins to a whole cell; -1 for none."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -246,7 +230,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, and for the way to each cell from a point beside it that a query places in it."""
+        """A margin for rounding, and for motions to a cell from points that rounding places in it."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -255,19 +239,18 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether a straight motion to a corner is free from all free points that a query may place in a cell."""
+        """Whether straight motions to a corner are free from all free points that rounding places in a cell."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
-        # Of other free cells each part of what is beside them, in which a query may place points, has to be free or
-        # blocked. From a free part the shortest motion to the cell is free; beside a wall that is flush with the
-        # cell, the other parts are blocked.
+        # Around other free cells, each part of the grown box must be free or blocked. From a free part the shortest
+        # motion to the cell is free, and beside a flush wall the other parts are blocked.
         beside = np.flatnonzero(~is_clear)
         ends, axes = np.stack([lo, *mesh.boxes, hi])[:, free[beside]], np.arange(mesh.dim)
         clear = np.ones(len(beside), bool)
         for part in product(range(3), repeat=mesh.dim):
             begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
-            some = np.flatnonzero((begin < end).all(axis=1))  # at the border of the domain there is nothing beside
+            some = np.flatnonzero((begin < end).all(axis=1))  # none at the border of the domain
             clear[some] &= self.space.classify(begin[some], end[some]) != CellState.MIXED
         is_clear[beside] = clear
         sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
@@ -280,7 +263,7 @@ class CostToGoField:
 
 
 def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:
-    """Fill unknown values (NaN) at the nodes of cells from the known ones of their cells, cell by cell outward."""
+    """Replace unknown values (NaN) at nodes by means of known values in their cells, cell by cell outward."""
     values, num = values.copy(), int(node.max()) + 1
     while True:
         known = np.isfinite(values)
@@ -296,7 +279,7 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """One leaf a cell of the mesh: estimates at corners, tied across open faces; None if the file is too large."""
+    """Return a PLR of a leaf a cell, tied across open faces; None if its file is too large."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -311,7 +294,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """The best partition whose file has at most so many bytes, grown from the estimate."""
+    """Grow a partition whose file has at most ``max_bytes`` bytes."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -333,8 +316,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     """Add bounds to each leaf, over all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
-    # 1. Pairs of a leaf and a cell that it meets, and the open cell that bounds the cost-to-go of free points placed
-    #    in both: the cell itself or, of a cell that is flush with open cells, each of these, at what they share.
+    # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself
+    #    or, for a flush blocked cell, each open cell beside it, over what they share.
     leaf, cell = overlapping_leaves(tree, mesh.tree)
     order = np.argsort(cell, kind="stable")
     flush, beside = mesh.flush_pairs
@@ -344,7 +327,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     own, others = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
     leaf = np.append(own[0], others)
     within, cell = np.append(own[1], flush[pair]), np.append(own[1], beside[pair])
-    # 2. The boxes that they have in common, and the leaf's function at their corners.
+    # 2. The boxes that they share, and the leaf's function at their corners.
     lo, hi, turn = mesh.shared_boxes(within, cell)
     position, depth = cells.position[leaf], cells.depth[leaf]
     lo, hi = np.maximum(lo, np.ldexp(position, -depth)), np.minimum(hi, np.ldexp(position + 1.0, -depth))
@@ -361,7 +344,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     t = np.ldexp(at, cells.depth[leaf][:, None]) - cells.position[leaf][:, None]
     weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
     values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
-    # 3. The worst bounds of each leaf, and how far its function changes to where a query may place points in it.
+    # 3. The worst bounds of each leaf, and the change of its function to points that rounding places in it.
     below, above = field.bounds_over(cell, mesh.local(cell, lo + turn), mesh.local(cell, hi + turn), values)
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     np.minimum.at(lower, leaf, below)
@@ -378,9 +361,9 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return the goal, the rate and the margin of the lower bound by the straight line, as a certificate has them.
+    """Return the lower bound by the straight line, for :class:`Certificate`; None if it has no such form.
 
-    The margin covers the rounding of coordinates to 32 bits, the rate that of the length.
+    The margin covers rounding of coordinates to 32 bits, the rate that of the length.
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
@@ -400,29 +383,23 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, "leaves"]:
     """Return upper bounds of the cost-to-go minus the function of each leaf, by paths from voxel to voxel.
 
-    From a point of a free voxel a straight motion leads to the voxel's center, and 26 moves on to the goal. These
-    bounds also hold where walls are thinner than the cells of the mesh.
-
-    Args:
-        field: The paths' goal, and the mesh.
-        space: The voxels. Bounds are ``inf`` if they are not three-dimensional, too many, or those of a ball.
-        cells: The leaves.
-        coefficients: The function's values at the corners of each leaf.
-        across: The most by which the function changes along each axis of a leaf.
+    From a point of a free voxel, a straight motion leads to the voxel's center, and 26 moves lead on to the goal.
+    These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, and for other than three
+    axes.
     """
     grid, goal = space.grid, space.domain.at(field.paths.points[-1])
     above = np.full(len(cells), np.inf)
     if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
         return above
-    # 1. The length of a path from the center of each voxel to that of a free voxel that holds the goal, and to it.
+    # 1. Lengths of paths from centers of voxels to the goal, through the center of a free voxel that holds it.
     ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]
     holds = next(at for at in product(*ends.T.tolist()) if grid.padded[at])
     center = space.domain.at((np.array(holds) - 0.5) / space.free.shape)
     last = float(np.linalg.norm(goal - center))
     lengths = VoxelGraph(space.free, center, bounds=space.domain).lengths + last
-    # 2. The voxels that hold points which a query may place in each leaf. From such a point a straight motion to the
-    #    center is at most half a diagonal long, along which the function changes by a share of what it does across
-    #    the leaf. The function is known at the point of the leaf nearest to the center.
+    # 2. Voxels that hold points of each leaf. The motion to the center is at most half a diagonal long, and along it
+    #    the function changes by a share of its change across the leaf. It is evaluated at the point of the leaf that
+    #    is nearest to the center.
     widths = space.domain.width * np.ldexp(1.0, -cells.depth)
     largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
     spare = (1 + ROUNDING) * np.linalg.norm(grid.sides) / 2 + ROUNDING * largest

@@ -1,10 +1,9 @@
-"""Finite elements: functions that are polynomials in every cell of a mesh and continuous across its open faces.
+"""Finite elements of degree 1 or 2 that are continuous across the open faces of a mesh.
 
-A cell holds the values at a lattice of nodes, ``degree + 1`` along every axis. Nodes of two cells at one point of an
-open face are one node. A node that lies on a face of a larger cell, but at no node of that cell, *hangs* there and
-takes the value of the larger cell's polynomial. The other nodes are the degrees of freedom. The gradient is a
-polynomial too. In Bernstein's form its control vectors enclose it: a convex condition on all of them holds
-everywhere in the cell.
+Each cell has a lattice of ``degree + 1`` nodes along every axis. Nodes of two cells at one point of an open face are
+one. A node on a face of a larger cell that is no node of it *hangs*: it takes the value of that cell's polynomial.
+The other nodes are degrees of freedom. Bernstein control vectors enclose the gradient, so a convex condition on all
+of them holds everywhere in the cell.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.faces import eliminate_constraints, face_points, resolve_constraints
 
-# Weights a node, at most, in the equations of nodes that hang on several cells.
+# Most weights a node in the equations of nodes that hang on several cells.
 _MOST_WEIGHTS_OF_NODE = 2**8
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
 _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
@@ -27,16 +26,13 @@ _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """The continuous piecewise polynomials of a degree, 1 or 2 along every axis, on a mesh.
+    """The continuous piecewise polynomials on a mesh, of a degree along every axis.
 
     Attributes:
-        mesh: The cells.
-        degree: Degree of the polynomials along each axis.
         lattice: The nodes of a cell, from 0 to 1 along each axis.
-        values: Maps degrees of freedom to values at all nodes, numbered ``cell * nodes_of_cell + node``; 0 in blocked
-            cells.
-        points: Where each degree of freedom is, as a fraction of the domain.
-        node_of: A node that is this degree of freedom.
+        values: Maps degrees of freedom to values at all nodes, ``cell * nodes_of_cell + node``; 0 in blocked cells.
+        points: The place of each degree of freedom, as a fraction of the domain.
+        node_of: A node of each degree of freedom.
     """
 
     mesh: Mesh
@@ -47,18 +43,18 @@ class FunctionSpace:
     node_of: Int[np.ndarray, "dofs"]
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Maps degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
+        """Return the map from degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Maps degrees of freedom to control values of each partial derivative over the mesh's open cells.
+        """Return maps from degrees of freedom to control values of each partial derivative in open cells.
 
-        Rows are numbered ``open cell * nodes_of_cell + control point``; derivatives are by coordinates times a scale.
+        Rows are ``open cell * nodes_of_cell + control point``. Derivatives are by coordinates times the scale.
         """
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
-        # Maps values at nodes to control values of a partial derivative, its degree raised to that of the others.
+        # The degree along the derivative is raised to the degree along other axes.
         difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
         share = np.arange(degree + 1)[:, None] / degree
         raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
@@ -73,7 +69,7 @@ class FunctionSpace:
         return operators
 
     def integrals(self) -> Float[np.ndarray, "dofs"]:
-        """The integral over all open cells of each degree of freedom's basis function."""
+        """Return the integral over all open cells of each basis function."""
         mesh = self.mesh
         share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
         weights = mesh.volumes[mesh.open_cells, None] * share
@@ -82,7 +78,7 @@ class FunctionSpace:
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """Evaluate the nodes' basis functions at points from 0 to 1 of a cell."""
+    """Evaluate the basis functions of the nodes at points from 0 to 1 of a cell."""
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
@@ -94,7 +90,7 @@ def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n no
 
 
 def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
-    """Maps values at the nodes of a cell to the control values of the polynomial."""
+    """Return the map from values at the nodes of a cell to control values."""
     return reduce(np.kron, [_TO_BERNSTEIN[degree]] * dim)
 
 
@@ -102,7 +98,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     """Build the space of the continuous functions on a mesh."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
-    # 1. Find the nodes that are one with a node of another cell, and those that hang on a cell, at a place in it.
+    # 1. Find nodes that are one with a node of another cell, and nodes that hang on a cell, with their place in it.
     place = (degree + 1) ** np.arange(mesh.dim)[::-1]
     same, hanging, on_cell, at, crossing, places = [], [], [], [], [], []
     for axis in range(mesh.dim):
@@ -110,7 +106,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
             on_face = np.flatnonzero(lattice[:, axis] == end)
             t = mesh.local(other[:, None], mesh.fractions(cell[:, None], lattice[on_face]))
-            t[:, :, axis] = 1 - end  # across the seam of a periodic axis too
+            t[:, :, axis] = 1 - end  # across a seam too
             face, index = np.nonzero(np.all((t >= 0) & (t <= 1), axis=2))
             node, where = cell[face] * size + on_face[index], t[face, index]
             is_node = np.all(where * degree == np.rint(where * degree), axis=1)
@@ -119,7 +115,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
             hanging.append(node[~is_node])
             on_cell.append(other[face[~is_node]])
             at.append(where[~is_node])
-        # Where cells that are long along different axes meet, a node of what they share is a node of neither.
+        # If cells are long along different axes, a corner of their shared face may be a node of neither.
         depth = mesh.cells.depth[faces.lower] - mesh.cells.depth[faces.upper]
         depth[:, axis] = 0
         faces = faces[(depth.min(axis=1) < 0) & (depth.max(axis=1) > 0)]
@@ -132,7 +128,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         places.append(t[:, ~is_node])
     same, crossing, places = (np.concatenate(part, axis=1) for part in (same, crossing, places))
     hanging, on_cell, at = (np.concatenate(part) for part in (hanging, on_cell, at))
-    # 2. Number the groups of nodes that are one, and express the groups that hang by those that are free.
+    # 2. Number groups of nodes that are one, and express hanging groups by free ones.
     tied = coo_array((np.ones(same.shape[1], bool), tuple(same)), (num_nodes, num_nodes))
     num_groups, group = connected_components(tied, directed=False)
     of_hanging, first = np.unique(group[hanging], return_index=True)
@@ -142,7 +138,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     resolved = resolve_constraints(
         csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free
     )
-    # 3. A node may hang on two cells of which neither implies the other: their polynomials must agree there.
+    # 3. A node may hang on two cells: their polynomials must agree there.
     again = np.setdiff1d(np.arange(len(hanging)), first)
     if mesh.dim > 2 and len(again) + crossing.shape[1]:
         cell, node = np.divmod(hanging[again], size)
@@ -165,7 +161,6 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
 
 
 def _interpolation(degree: int, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"], nodes: int) -> csr_array:
-    """Maps values at all nodes to values at points ``t``, from 0 to 1, of cells."""
     weight = basis(degree, t)
     num, size = weight.shape
     columns = (cell[:, None] * size + np.arange(size)).ravel()

@@ -1,12 +1,11 @@
-"""An estimate of the cost-to-go at the centers of the cells of a regular grid, and between them.
+"""An estimate of the cost-to-go on a regular grid, interpolated between its nodes.
 
-Where motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
-stencils have no diagonals, so nothing passes where two obstacles touch in an edge or a corner. Where the cost depends
-on the direction, or is a sum over blocks of axes, the estimate is the cheapest path over a stencil of several steps,
-which is up to a few percent too long.
+- If motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
+  stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner.
+- If costs depend on the direction, or add up over blocks of axes, a shortest path over a stencil of several steps is
+  the estimate. It is up to a few percent too long.
 
-Walls are where the nearest nodes have them. A march over many nodes takes less time than the compression of its
-result, so that no correction pays.
+Walls are moved to the nearest nodes. Many nodes cost less time than a correction for this would.
 
 References:
     Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
@@ -39,22 +38,18 @@ from plr_jax.spaces import (
 )
 
 MOST_AXES = 3
-# Nodes of a grid, by the number of axes: of fast marching over cells that are given and over others, whose nodes take
-# longer to classify, and of paths over a stencil.
+# Usual number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
+# classify; and for paths over a stencil.
 _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
-# Or so many for each leaf; and most nodes, which take about 200 bytes of memory each.
+# Least number of nodes a leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
 _NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
-# Share of a count by which it may be off a whole number.
-_ROUND = 1e-9
-# How many steps an edge of the stencil leads at most along an axis, by the number of axes of a block.
-_REACH = {1: 1, 2: 3, 3: 2}
-# Cells of the grid that are classified together first, along each axis.
-_BLOCK = 8
-# Share of a step around a node that must be free: nodes that touch a wall are closed, and so are contacts.
-_CLEAR = 1e-3
-# Radius of the first front in shortest steps, by the number of axes, unless costs within differ from that at the goal
-# by more than a factor.
+_ROUND = 1e-9  # relative rounding error of numbers of steps
+_REACH = {1: 1, 2: 3, 3: 2}  # of stencil edges in steps, by the number of axes of a block
+_BLOCK = 8  # cells along each axis of the blocks that are classified first
+_CLEAR = 1e-3  # half width, in steps, of the free box around an open node
+# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within
+# differ from the cost at the goal by more than the factor.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 
 Points = Float[np.ndarray, "n dim"]
@@ -68,13 +63,11 @@ Sides = Float[np.ndarray, "dim"]
 
 @dataclass(frozen=True, eq=False)
 class GridEstimate:
-    """The cost-to-go at the nodes of a grid, and between them.
+    """The cost-to-go at the nodes of a grid, interpolated between them.
 
     Attributes:
-        space: The configuration space.
-        goal: The goal, a configuration.
-        at_goal: The factor of the cost of motions at the goal, and the pulls there, or None.
-        ratio: The cost-to-go over the cost of the straight motion to the goal, both at the costs of the goal.
+        at_goal: Factor and pulls of the cost of motions at the goal (see :class:`CellCosts`); pulls may be None.
+        ratio: The cost-to-go over the cost of the straight motion to the goal by the costs at the goal.
         cost: The cost-to-go at each node; ``inf`` where no path leads to the goal.
     """
 
@@ -85,7 +78,7 @@ class GridEstimate:
     cost: Costs
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the estimate at points of the domain; ``inf`` where no node around has a path to the goal."""
+        """Return the estimate at points of the domain; ``inf`` if no adjacent node reaches the goal."""
         ratio, is_open = self.ratio.interpolated(x)
         beside = np.flatnonzero(~is_open & np.isfinite(ratio))
         ratio[beside[~self.space.is_free(x[beside])]] = np.inf
@@ -94,14 +87,14 @@ class GridEstimate:
 
     @property
     def largest(self) -> float:
-        """The largest cost-to-go at a node; ``-inf`` if no node sees the goal."""
+        """The largest finite cost at a node; ``-inf`` if no node reaches the goal."""
         return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
 
 
 def straight_costs(
     space: ConfigurationSpace, at: tuple[float, Float[np.ndarray, "2 1 dim"] | None], change: Points
 ) -> Float[np.ndarray, "n"]:
-    """Return what straight motions cost by the costs at one configuration."""
+    """Return the costs of straight motions by the factor and the pulls at one configuration."""
     factor, pulls = at
     return factor * space.motion_cost.norm(change) + pulled(
         None if pulls is None else np.broadcast_to(pulls, (2, *change.shape)), change
@@ -113,14 +106,9 @@ def grid_estimate(
 ) -> GridEstimate:
     """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and 200,000 to a million in space.
 
-    The nodes are the centers of the voxels of a :class:`VoxelSpace` or of the cells of a :class:`RasterCost` that
-    fills the domain, or those of a refinement of these cells into an odd number along each axis.
-
-    Args:
-        space: What is free, of up to three axes.
-        cost_map: The factor of the cost of motions, or None.
-        goal: The goal, a free configuration.
-        num_leaves: Leaves that are to be made of the estimate. The grid has at least 16 nodes for each.
+    Nodes are the centers of voxels, or of the cells of a :class:`RasterCost` that fills the domain. If these are few,
+    each cell is divided into an odd number of parts along each axis. For ``num_leaves`` leaves there are at least 16
+    nodes each.
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
@@ -140,7 +128,7 @@ def grid_estimate(
             pulls = np.zeros((2, *shape, dim))
             pulls[:, is_open] = pulls_of_open
 
-    # 2. The cost of straight motions from open nodes around the goal that see it; elsewhere inf.
+    # 2. The cost of straight motions from open nodes near the goal; inf if the motion is not free.
     to_goal = domain.difference(np.broadcast_to(goal, (prod(shape), dim)), node.reshape(-1, dim))
     lengths = np.linalg.norm(to_goal, axis=1).reshape(shape)
     radius = _RADIUS[dim] * float(side.min())
@@ -157,7 +145,7 @@ def grid_estimate(
     if is_isotropic:
         _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
-            # Paths may pass where obstacles touch: the four nodes around are open.
+            # Paths may pass where obstacles touch, so the four nodes around a contact are open.
             boundary = space.workspace.boundary
             place = (boundary.vertices[boundary.contacts] - box.lo) / side - 0.5
             for corner in product((0, 1), repeat=2):
@@ -175,15 +163,14 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Return a box whose cells have nodes at their centers, and how many there are along each axis.
+    """Return a box, and the number of its cells along each axis, whose centers are the nodes.
 
-    There are about as many nodes as are asked for, or as many as are usual if these are more.
-
-    Without a raster the first and the last nodes are on the faces of the domain, and steps are round decimals where
-    that fits: there many maps have walls.
+    The box has at least ``num_nodes`` nodes, or the usual number if that is larger, up to rounding. Without a raster,
+    the first and the last nodes are on the faces of the domain, and steps are round decimals if these fit: many maps
+    have walls there.
     """
     domain = space.domain
-    # 1. The centers of cells that are given, unless these are too many.
+    # 1. The centers of given cells, unless these are too many.
     cells = None
     if isinstance(space, VoxelSpace):
         cells = np.array(space.free.shape)
@@ -196,7 +183,7 @@ def _grid(
     if cells is not None and cells.prod() <= _MOST_NODES:
         refinement = 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
         return domain, tuple((cells * refinement).tolist())
-    # 2. Equal steps, of a round decimal if that fits.
+    # 2. Equal steps, a round decimal if that fits.
     width = domain.width * space.motion_cost.scale
     step = (width.prod() / (num_nodes if cells is None else _MOST_NODES)) ** (1 / domain.dim)
     decimal = 10.0 ** np.floor(np.log10(step)) * np.array([1.0, 2.0, 2.5, 5.0, 10.0])
@@ -211,14 +198,14 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen]:
-    """Classify the cells of a grid, first in blocks. Return their states, and which nodes paths can pass through."""
+    """Return the state of each cell of a grid, and through which nodes paths may pass."""
     domain = space.domain
 
     def classified(lo, hi):
         ends = (box.at(end / np.array(shape)) for end in (lo, hi))
         return space.classify(*(np.where(domain.periodic, end, np.clip(end, domain.lo, domain.hi)) for end in ends))
 
-    # 1. Blocks of cells, and the cells of those of which nothing is proven.
+    # 1. Classify blocks of cells, then the cells of mixed blocks.
     blocks = np.moveaxis(np.indices([-(-n // _BLOCK) for n in shape]), 0, -1)
     lo, hi = (np.minimum((blocks.reshape(-1, len(shape)) + end) * _BLOCK, shape) for end in (0, 1))
     state = classified(lo, hi).reshape(blocks.shape[:-1])
@@ -227,10 +214,10 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     mixed = np.argwhere(state == CellState.MIXED)
     state[tuple(mixed.T)] = classified(mixed, mixed + 1)
     is_open = state == CellState.FREE
-    # 2. In other cells a node is open if a small box around it is free.
+    # 2. In a mixed cell the node is open if a small box around it is free.
     mixed = np.argwhere(state == CellState.MIXED)
     is_open[tuple(mixed.T)] = classified(mixed + 0.5 - _CLEAR, mixed + 0.5 + _CLEAR) == CellState.FREE
-    # 3. A node on a wall is open if the free points beside it reach one another. Where obstacles touch they do not.
+    # 3. A node on a wall is open if all free corners of that box reach one another. At a contact they do not.
     wall = mixed[~is_open[tuple(mixed.T)]]
     corners = np.array(list(product((-1, 1), repeat=len(shape))))
     q = box.at((wall[:, None] + 0.5 + _CLEAR * corners) / shape)
@@ -248,7 +235,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> None:
-    """Close the nearer one of two neighboring nodes between which there is a wall."""
+    """Close one node of each two neighbors with a wall between them: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         other = np.roll(is_open, -1, axis)
@@ -277,9 +264,8 @@ def _marched(
     radius: float,
     side: Sides,
 ) -> Costs:
-    """March from a small circle around the goal, within which motions are straight."""
-    # 1. The front starts where straight motions cost as much as its radius does at the goal. Within are no nodes that
-    #    are not seen from the goal, and none where costs differ much, but the cheapest one.
+    """March from a ball around the goal, within which paths are straight."""
+    # 1. Choose the ball: all its nodes see the goal, and cost about as much as the goal, except the cheapest node.
     weight = space.motion_cost.blocks[0][1]
     rate = weight * at_goal
     differs = (factor > _NEARLY * at_goal) | (_NEARLY * factor < at_goal)
@@ -290,7 +276,7 @@ def _marched(
     cost = np.where(is_inside, straight, np.inf)
     if not is_inside.any() or (is_inside == is_open).all():
         return cost
-    # 2. March from there. Of a node beyond a jump of costs, the front is as far as if it were not there, or farther.
+    # 2. March from its surface. A jump of costs must not bring a node beyond it nearer to the front.
     phi = lengths - begin / (weight * (factor + at_goal) / 2)
     phi[differs] = np.maximum(phi, lengths - begin / rate)[differs]
     phi[np.isinf(straight)] = np.maximum(lengths, side.max())[np.isinf(straight)]
@@ -317,10 +303,10 @@ def _over_stencil(
     straight: Costs,
     side: Sides,
 ) -> Costs:
-    """Find cheapest paths over edges of several steps within the axes of each block of the cost of motions."""
+    """Return costs of shortest paths over edges of up to a few steps within each block of axes."""
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
-    # Edges from these nodes need no test.
+    # Edges from nodes whose whole stencil is free need no test.
     mode = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
     far = [max(_REACH[len(axes)] for axes, _ in motion.blocks)] * len(shape)
     is_clear: Any = cells == CellState.FREE

@@ -1,4 +1,4 @@
-"""The mesh of a configuration space: dyadic cells, each free, blocked or mixed."""
+"""The mesh of a configuration space: dyadic cells that are proven free or blocked, or mixed."""
 
 import copy
 from dataclasses import dataclass
@@ -17,13 +17,12 @@ from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-# The grid that locates points has at most this many boxes for each cell.
-_COARSE = 4
-# If cells are more slender, the equations lose all digits along their long axis.
+_COARSE = 4  # boxes a cell of the grid that locates points
+# Largest aspect of cells: beyond it, the equations lose all digits along the long axis.
 _MOST_SLENDER = 2e5
-# A cell is halved along the axes along which it has at least this share of its largest width.
+# Share of its largest width above which a cell is halved along an axis.
 _LONG = 0.7
-# Splits of a periodic axis, so that no cell touches another one on both sides.
+# Least splits of a periodic axis, with which no two cells touch on both sides.
 _LEAST_PERIODIC = 2
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -35,17 +34,11 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 
 @dataclass(eq=False)
 class Mesh:
-    """Cells of a domain, in the order of the tree's traversal, and what is proven of each.
+    """The dyadic cells of a domain, in the order of the tree's traversal, and the state of each.
 
-    Points are given as *fractions* of the domain, from 0 to 1 along each axis, or as *local* coordinates, from 0 to 1
-    along each axis of a cell.
-
-    Args:
-        domain: The box that the cells fill.
-        tree: The tree of the cells.
-        state: The :class:`CellState` of each cell.
-        is_flush: Which cells are blocked, but flush with free space: a query, which rounds, may place free points in
-            such a cell, so it answers as the open cells beside it do.
+    Points are *fractions* of the domain, from 0 to 1 along each axis, or *local* coordinates in a cell, from 0 to 1.
+    Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so it
+    answers as the open cells beside it do.
     """
 
     domain: Box
@@ -58,7 +51,7 @@ class Mesh:
         """Number of axes."""
         return self.domain.dim
 
-    # What depends on the cells alone is computed once, and shared with the meshes of `with_state`.
+    # Properties of the cells are shared with the meshes of `with_state`.
 
     @cached_property
     def cells(self) -> Cells:
@@ -77,17 +70,16 @@ class Mesh:
 
     @cached_property
     def grown_boxes(self) -> Corners:
-        """Corners of boxes that hold all points which a query, which rounds, may place in the cells."""
+        """Corners of boxes around all points that rounding may place in the cells."""
         return _grown_boxes(self.cells, self.domain)
 
     @cached_property
     def widths(self) -> Float[np.ndarray, "cells dim"]:
-        """Widths of the cells along each axis."""
+        """Widths of the cells."""
         return np.ldexp(self.domain.width, -self.cells.depth)
 
     @cached_property
     def _finest(self) -> Int[np.ndarray, "dim"]:
-        """How often the smallest cells are halved along each axis."""
         return self.cells.depth.max(axis=0)
 
     @cached_property
@@ -103,7 +95,7 @@ class Mesh:
 
     @cached_property
     def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
-        """A grid, how often it halves each axis, and the smallest node of the tree that holds each of its boxes."""
+        """A grid: its splits along each axis, and the smallest tree node that holds each of its boxes."""
         depth = np.zeros(self.dim, np.int64)
         while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
             depth[np.argmax(self._finest - depth)] += 1
@@ -129,24 +121,24 @@ class Mesh:
 
     @property
     def inset(self) -> Float[np.ndarray, "dim"]:
-        """A share of the domain by which a point on a face may be moved without leaving the cell beyond."""
+        """A quarter of the smallest width along each axis, as a fraction of the domain."""
         return np.ldexp(0.25, -self._finest)
 
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Local coordinates in cells as fractions of the domain; exact for dyadic ones."""
+        """Return local coordinates as fractions of the domain; dyadic ones are exact."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
     def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Fractions of the domain as local coordinates in cells, the inverse of :meth:`fractions`."""
+        """Return fractions of the domain as local coordinates."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Fractions that lie in cells as local coordinates, also across the seam of a periodic axis."""
+        """Return fractions of the domain as local coordinates, across the seam of a periodic axis too."""
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
+        """Return the cells that hold fractions of the domain: the upper one of several, the nearest outside."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
         depth, node = self._coarse
@@ -155,7 +147,6 @@ class Mesh:
     def _descended(
         self, node: CellIndex, slot: Int[np.ndarray, "n dim"], most: Int[np.ndarray, "dim"] | None = None
     ) -> CellIndex:
-        """Return the descendants of nodes that hold slots as wide as the smallest cells, at most so deep."""
         tree, row, node = self.tree, np.arange(len(node)), node.copy()
         while True:
             at, axis = node[row], tree.axis[node[row]]
@@ -166,16 +157,14 @@ class Mesh:
                 return node
             node[row] = tree.child[at] + (slot[row, axis] >> (self._finest[axis] - depth - 1) & 1)
 
-    # What depends on the states of cells.
-
     @property
     def open_cells(self) -> Int[np.ndarray, "open"]:
-        """The cells that are not blocked."""
+        """Indices of the cells that are not blocked."""
         return np.flatnonzero(self.state != CellState.BLOCKED)
 
     @property
     def is_open_face(self) -> Bool[np.ndarray, "faces"]:
-        """Which of all faces are between cells that are not blocked."""
+        """A mask of the faces between cells that are not blocked."""
         is_open = self.state != CellState.BLOCKED
         return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
 
@@ -186,14 +175,14 @@ class Mesh:
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Pairs of a flush cell and a cell that is not blocked and touches it."""
+        """Pairs of a flush blocked cell and an open cell that touches it."""
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """What touching cells have in common: lower ends, upper ends, and turns to the other cell.
+        """Return the lower and upper ends of what touching cells share, and turns to the other cell.
 
-        A turn is 0, or 1 or -1 where the other cell is across the seam of a periodic axis.
+        A turn is 1 or -1 if the other cell is across the seam of a periodic axis, else 0.
         """
         (lo, hi), (low, high) = (
             [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
@@ -202,34 +191,29 @@ class Mesh:
         return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
 
     def connected_to(self, cell: int) -> Mask:
-        """Which cells are connected to a cell by open faces."""
+        """Return a mask of the cells that open faces connect to a cell."""
         num, faces = len(self.state), self.faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
         return part == part[cell]
 
     def with_state(self, state: States) -> "Mesh":
-        """The mesh of the same cells with other states."""
+        """Return the mesh of the same cells with other states."""
         mesh = copy.copy(self)
         mesh.state = state
         return mesh
 
     def without(self, is_closed: Mask) -> "Mesh":
-        """The mesh with some cells counted as blocked."""
+        """Return the mesh with some cells counted as blocked."""
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
-        """The mesh with some cells halved along all axes along which they are about as wide as along any.
+        """Return the mesh with some cells halved along all their long axes, in order, while there is room.
 
-        If halving a mixed cell along one axis makes a half that is proven free or blocked, it is halved along that
-        axis alone: so walls along halves of cells take few cells.
-
-        Args:
-            which: The cells, first those that are refined first.
-            space: The configuration space.
-            room: Most cells to add; None: all cells are refined.
+        If halving a mixed cell along one axis gives a half that is proven, only this axis is halved: walls along
+        halves of cells then take few cells.
         """
-        parts, known, num, most = [], [], 0, 2**self.dim - 1  # that one adds
+        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that one adds
         while num < len(which) and (room is None or room >= most):
             batch = which[num:] if room is None else which[num : num + room // most]
             children, *of_children = self._parts(batch, space)
@@ -244,7 +228,7 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """What some cells are refined into, what is proven of the parts, and which are flush with free space."""
+        """Return the parts of refined cells, their states, and which are flush."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
         # 1. Classify the parts of mixed cells, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)
@@ -254,7 +238,7 @@ class Mesh:
             halved = halved.split(np.full(len(halved), axis))
         for known, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
             known[mixed] = of_parts.reshape(-1, len(bits))
-        # 2. Choose the axes: one that makes a proven half, else all long ones.
+        # 2. Choose one axis that gives a proven half, else all long axes.
         width = self.widths[which] * space.motion_cost.scale
         width = width / width.max(axis=1, keepdims=True)
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
@@ -263,7 +247,7 @@ class Mesh:
         best = np.argmax(proven + width / 2, axis=1)
         alone = mixed & proven.any(axis=1)
         is_halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
-        # 3. Join the parts between which no axis was chosen.
+        # 3. Join parts along the other axes.
         one = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
         key, of_part = np.unique(np.arange(len(which))[:, None] * len(bits) + one, return_inverse=True)
         least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
@@ -276,29 +260,8 @@ class Mesh:
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
-    """A mesh of at least so many cells, if the most allow it, about as wide along every axis by motion cost."""
-    scale = space.motion_cost.scale
-    depth = even_depth(space.domain, scale, num_cells, max_cells)
-    width = np.ldexp(space.domain.width * scale, -depth)
-    if width.max() > _MOST_SLENDER * width.min():
-        raise ValueError(
-            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
-            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
-        )
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
-    position = position.reshape(-1, space.domain.dim)
-    cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
-
-
-def even_depth(
-    domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
-) -> Int[np.ndarray, "dim"]:
-    """How often to halve a domain along each axis, for cells that are about as wide along every axis by a scale.
-
-    At least so many cells, if the most allow it.
-    """
+    """Return a mesh of at least ``num_cells`` cells, if ``max_cells`` allows, of about equal widths."""
+    domain, scale = space.domain, space.motion_cost.scale
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
@@ -311,7 +274,17 @@ def even_depth(
         depth[np.argmax(np.where(depth > least, depth, -1))] -= 1
     while 2.0 ** depth.sum() < num_cells and 2.0 ** (depth.sum() + domain.dim) <= max_cells:
         depth += 1
-    return depth
+    width = np.ldexp(width, -depth)
+    if width.max() > _MOST_SLENDER * width.min():
+        raise ValueError(
+            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
+            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
+            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
+        )
+    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
+    position = position.reshape(-1, space.domain.dim)
+    cells = Cells(np.tile(depth, (len(position), 1)), position)
+    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
 
 
 def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
@@ -320,7 +293,7 @@ def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
 
 
 def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
-    """What is proven of cells, and which are flush with free space: blocked, but not with what is beside them."""
+    """Return the state of cells, and which are flush: blocked, while points that rounding places there are not."""
     if not len(cells):
         return np.zeros(0, np.int8), np.zeros(0, bool)
     state = as_states(space.classify(*cells.boxes(domain)), len(cells))
@@ -335,15 +308,14 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count flush blocked cells as mixed where open cells touch in an edge or a corner alone, between blocked ones.
+    """Count flush blocked cells as mixed if open cells touch, between blocked ones, only in their edge or corner.
 
-    From such a place a path may begin on either side, and in a space that lets robots squeeze through it may pass.
-    Through mixed cells, what is known on one side meets what is known on the other.
+    A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
     while dim > 1:
-        # 1. Edges and corners that flush cells have in common with open cells: middles and half widths, fractions.
+        # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions.
         flush, beside = mesh.flush_pairs
         lo, hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
         low, high, _ = mesh.shared_boxes(flush, beside)
@@ -352,11 +324,11 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         is_edge = ((x == lo[:, None]) | (x == hi[:, None])).sum(axis=2) > 1
         edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
         middle, half = edges[:, :dim], edges[:, dim:]
-        # 2. Which of the cells around each are open.
+        # 2. Find which cells around each are open.
         x = middle[:, None] + signs * mesh.inset
         around = mesh.locate(np.where(periodic, x % 1.0, x).reshape(-1, dim)).reshape(x.shape[:2])
         is_open = (mesh.state[around] != CellState.BLOCKED) & (((x > 0) & (x < 1)) | periodic).all(axis=2)
-        # 3. What is beside the edge may be blocked, though its cell is not.
+        # 3. Beside the edge, an open cell may be blocked.
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * mesh.inset)
         lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
@@ -371,6 +343,6 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
 
 
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
-    """Whether some open sides are joined to others through no open ones."""
+    """Return whether some open sides are not joined to others through open sides."""
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

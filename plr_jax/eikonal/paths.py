@@ -1,9 +1,11 @@
-"""Short paths to a goal through free cells: upper bounds where those are proven free, estimates where likely so.
+"""Short paths from the nodes of a mesh to the goal, through free cells: upper bounds of the cost-to-go.
 
-Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
-cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
-node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
-is not free, as beside a wall, straight motions are tested one by one.
+1. A graph joins the corners of each free cell, in which every straight motion is free. Dijkstra's algorithm finds
+   shortest paths in it. They zigzag.
+2. As in Theta*, a node skips the next node of its path, or takes the next node of a neighbor's path, if the straight
+   motion there stays in free cells and costs less.
+
+If the goal's cell is not free, as beside a wall, straight motions to the goal are tested one by one.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
@@ -24,17 +26,14 @@ from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
-# Rounds of straightening: at most so many, and no more if one gains less than this share of all costs.
+# Most rounds of straightening, and the share of all costs that a round must gain for another one.
 _ROUNDS, _ENOUGH = 24, 1e-4
-# Share of its cost by which a path must become cheaper.
-_GAIN = 1e-9
-# How far beyond a face the next cell is looked for, as a share of the domain.
+_GAIN = 1e-9  # that a change of a path must have, as a share of its cost
+# Distance beyond a face at which the next cell is located, as a share of the domain.
 _AHEAD = 2.0**-44
-# Share by which costs are rounded up.
-_ROUNDING = 1e-10
-# Edges handled at a time, which bounds the memory.
-_EDGES_AT_ONCE = 1 << 18
-# So many of the nearest nodes may go straight to a goal whose cell is not free.
+_ROUNDING = 1e-10  # share by which upper bounds are increased
+_EDGES_AT_ONCE = 1 << 18  # bounds the memory
+# Most nodes, the nearest ones, that are joined to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
 Nodes: TypeAlias = Int[np.ndarray, "_"]
@@ -49,9 +48,9 @@ class NodePaths:
     """Paths to the goal from the nodes of a mesh.
 
     Attributes:
-        points: Where the nodes are, as fractions of the domain; after them the goal.
-        cost: Cost of each node's path, rounded up; ``inf`` where none was found.
-        next: The node that each path goes to first; the goal's number for the goal, and where there is none.
+        points: The nodes as fractions of the domain, then the goal.
+        cost: Cost of each node's path, rounded up; ``inf`` if none was found.
+        next: The second node of each path; the goal's number for the goal itself, and if there is no path.
     """
 
     points: Float[np.ndarray, "nodes dim"]
@@ -60,16 +59,16 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> Costs:
-    """Costs of the cheapest ways along the graph from the nodes of a mesh to a goal; ``inf`` where there is none."""
+    """Return costs of shortest paths in the graph from the nodes of a mesh; ``inf`` if there is no path."""
     return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> NodePaths:
-    """Short paths to a goal, a fraction of the domain, from the corners of free cells."""
+    """Find short paths from the corners of free cells to a goal, a fraction of the domain."""
     graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _along(next_, leg), np.arange(len(next_))
-    blocked = np.full((2, len(next_)), -1)  # where one cannot go straight, as was found last
+    blocked = np.full((2, len(next_)), -1)  # targets of the last tests that failed
     for _ in range(_ROUNDS):
         before = cost
         for kind in range(2):
@@ -89,7 +88,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: Configurati
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Costs of whole paths, whose nodes become cheaper along them: by ever larger strides."""
+    """Sum costs along paths to the goal by pointer doubling."""
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -97,14 +96,14 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 
 
 class _FreeGraph:
-    """Corners of free cells, the goal last, and straight motions between those of one cell."""
+    """A graph of the corners of free cells, with the goal last. Edges are straight motions within a cell."""
 
     def __init__(self, mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
         self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
         self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(goal), strict=True))
         if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
-            # Nodes near the goal that can go straight there, in order, and what that costs at the most.
+            # Nodes near the goal from which the straight motion is free, and upper bounds of its cost.
             change = self._changes(np.arange(self.goal), np.full(self.goal, self.goal))
             near = np.argsort(costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
             q, change = mesh.domain.at(self.points[near]), change[near]
@@ -119,23 +118,19 @@ class _FreeGraph:
             place = np.searchsorted(self.begin, node, side="right")
             self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, self.goal)))
             self.cost = np.insert(self.cost, place, straight)
-        self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # edge of each node that has some
+        self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
-        """Motions between nodes, around periodic axes the short way."""
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, goal: Point) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Pairs of nodes in one closed free cell, in order, and what going straight costs at the most.
-
-        For some nodes at a time: cells of many axes have in common most of their many pairs of corners.
-        """
+        """Yield edges, sorted, for some nodes at a time: cells of many axes share most of their pairs of corners."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         home = mesh.locate(goal[None])
         nodes, cells = [np.full(1, self.goal)[is_free[home]]], [home[is_free[home]]]
-        for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell on the face of a larger one
+        for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell that hang on a larger cell
             faces = mesh.faces[mesh.faces.axis == axis]
             for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
                 hangs = (
@@ -144,15 +139,15 @@ class _FreeGraph:
                 on_face = mesh.corners[cell[hangs]][:, bits == end]
                 of = np.repeat(other[hangs], on_face.shape[1])
                 t = mesh.within(of, self.points[on_face.ravel()])
-                touches = ((t >= 0) & (t <= 1)).all(axis=1)  # beyond are corners where long cells cross
+                touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond
                 nodes.append(on_face.ravel()[touches])
                 cells.append(of[touches])
         hanging = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         cell, node = np.divmod(hanging, len(self.points))
         num, free = mesh.corners.shape[1], np.flatnonzero(is_free)
-        in_cells = np.append(mesh.corners, node)  # corners of all cells, then what hangs on each
+        in_cells = np.append(mesh.corners, node)  # corners of all cells, then hanging nodes by cell
         first = mesh.corners.size + np.searchsorted(cell, np.arange(len(mesh.state) + 1))
-        # From corners there are edges to all nodes of a cell, from those that hang there to its corners.
+        # Corners have edges to all nodes of a cell, hanging nodes to its corners.
         begin, of = np.append(mesh.corners[free], node), np.append(np.repeat(free, num), cell)
         count = num + np.append(np.repeat(np.diff(first)[free], num), np.zeros_like(cell))
         order = np.argsort(begin, kind="stable")
@@ -171,7 +166,7 @@ class _FreeGraph:
             yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
-        """The first edge of the cheapest way along edges from each node: its end, and its cost."""
+        """Return the end and the cost of the first edge of each node's shortest path."""
         num = len(self.points)
         graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
@@ -181,7 +176,7 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
+        """Return for each node the best second node of a neighbor's path, if no wall were in the way."""
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):
@@ -194,16 +189,16 @@ class _FreeGraph:
         return best
 
     def least_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """What straight motions cost at the least."""
+        """Return lower bounds of the costs of straight motions."""
         return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def straight_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """What going straight costs at the most; ``inf`` where that leaves free cells."""
+        """Return upper bounds of the costs of straight motions; ``inf`` if a motion leaves free cells."""
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
         length, rate = self.costs.motion.norm(change), change / mesh.domain.width
-        rate[np.abs(rate) < _AHEAD] = 0.0  # or a motion along a face would be followed in steps of rounding errors
+        rate[np.abs(rate) < _AHEAD] = 0.0  # else steps along a face would be rounding errors
         ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
         going = np.flatnonzero(length > 0)
         while len(going):

@@ -1,14 +1,14 @@
-"""The largest function below the cost-to-go: a convex program over a finite-element space.
+"""A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
-A function that is 0 at the goal, continuous across every face that is not proven blocked, and nowhere steeper than a
-step there costs, is nowhere above the cost of any path. The slope of a polynomial is bounded by its control vectors,
-so that the largest such function, by its integral, solves
+A function is nowhere above the cost of any path if it is 0 at the goal, continuous across every face that is not
+proven blocked, and nowhere steeper than a step costs. Control vectors bound the slope of a polynomial, so the largest
+such function ``u``, by its integral, solves
 
     maximize  sum of w u   subject to  |gradient at each control point| <= cost of a step in the cell.
 
-The multipliers are a flow: from everywhere to the goal, along the cheapest ways. The alternating direction method of
-multipliers solves the program. Each iteration solves a Poisson equation, whose matrix is factored once in a while.
-The last iterate is made to satisfy the constraints, rounding included: the bound is proven after any number of steps.
+The multipliers are a flow from everywhere to the goal along cheapest paths. The alternating direction method of
+multipliers solves the program by a Poisson equation in each iteration. At last the values are bent so that they
+satisfy the constraints, rounding included: the bound is proven after any number of iterations.
 
 References:
     Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and degenerate
@@ -39,32 +39,26 @@ PerControl: TypeAlias = Float[np.ndarray, "controls"]
 Dofs: TypeAlias = Float[np.ndarray, "dofs"]
 
 ROUNDING = 1e-9
-"""Share of values and of slopes that is many times what their evaluation rounds."""
+"""Relative margin for rounding of values and slopes."""
 _TINY = float(np.finfo(float).tiny)
-# Parts of a cell along each axis, in which the cost factor is bounded, by the number of axes.
+# Parts of a cell along each axis in which the factor is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
-# Linear bounds of the factor fall nowhere in the cell below this share of the least factor.
+# Least share of the least factor to which a linear bound may fall in a cell.
 _LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell; upper ones also hold where a query may place points in the cell.
+    """Bounds of the cost of motions in each cell, and for points beside it that a query may place in it.
 
-    In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
-    ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on the
-    direction of a motion. If they do not, the factor of ``|dq|`` is between two linear functions of the place as
-    well, which differ by less the smaller the cell is.
+    A motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``, where ``|dq|`` is
+    the norm ``motion``. Without pulls, the factor of ``|dq|`` also lies between two linear functions of the place.
 
     Attributes:
-        motion: The cost of a motion, times a factor.
-        cost_map: The factor, or None if it is 1 everywhere.
-        lower: The least factor in each cell.
-        upper: The largest factor in each cell.
-        slope: How much linear bounds of the factor change from one side of the cell to the other, along each axis.
+        slope: Change of the linear bounds across each cell, along each axis.
         least: The lower linear bound in the middle of the cell.
         most: The upper linear bound in the middle of the cell.
-        pulls: Two vectors a cell; a motion costs the larger of its products with them in addition. None for none.
+        pulls: Two vectors a cell, for costs that depend on the direction, or None.
     """
 
     motion: MotionCost
@@ -78,22 +72,22 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs for estimates: the upper bounds of the factor are replaced by the middle of both bounds."""
+        """Costs for estimates, whose upper bounds of the factor are the middle of both bounds."""
         lower, least = self.lower, self.least
-        if self.pulls is not None:  # no motion may cost less than nothing
+        if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
             lower, least = np.maximum(lower, longest), np.maximum(least, longest)
         return replace(self, upper=(lower + self.upper) / 2, most=(least + self.most) / 2)
 
     @cached_property
     def least_rate(self) -> float:
-        """What a motion of length 1 costs at the least, in any cell and direction."""
+        """The least cost of a motion of length 1, in any cell and direction."""
         if self.pulls is None:
             return float(self.lower.min())
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """What straight motions cost at the most, wherever they are in their cells, or with middles from 0 to 1."""
+        """Return upper bounds of the costs of straight motions in cells, tighter with known middles."""
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
@@ -102,7 +96,7 @@ class CellCosts:
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    """Bound what motions cost in each cell of a mesh; ``ValueError`` if the cost map gives no bounds."""
+    """Bound the cost of motions in each cell of a mesh; ``ValueError`` if the cost map gives no bounds."""
     motion, num = space.motion_cost, len(mesh.state)
     flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
@@ -110,7 +104,7 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
         return CellCosts(motion, cost_map, lower, upper, flat, lower, upper, pulls)
-    # Linear functions are bounds of the factor in a cell if they are so in each of its parts.
+    # A linear function bounds the factor in a cell if it does so in each part.
     parts = _PARTS.get(mesh.dim, 1)
     place = np.array(list(product(range(parts), repeat=mesh.dim)))
 
@@ -123,12 +117,12 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     (lower, _), (_, upper) = bounds_of_parts(*mesh.boxes), bounds_of_parts(lo, hi)
     at = (place + 0.5) / parts - 0.5
     slope = (lower + upper) / 2 @ at / np.maximum(np.sum(at**2, axis=0), _TINY)
-    # Parts of boxes that are a little larger than cells: what they are beyond their part of the cell counts.
+    # Parts are of boxes that are a little larger than the cells.
     half = (hi - lo) / (2 * parts) + (hi - lo - mesh.widths)
     within, linear = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True), slope @ at.T
     least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
     lower, upper = lower.min(axis=1), upper.max(axis=1)
-    # Where the factor jumps they say less than its least and its largest value.
+    # Where the factor jumps, its least and its largest value are better bounds.
     is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_SHARE * lower) | (least < lower) | (most > upper)
     slope[is_flat] = 0.0
     least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
@@ -138,27 +132,19 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return a function that bends values down, level by level, so that slopes that are a little too steep are not.
+    """Return a piecewise linear function of the values that makes too large slopes admissible.
 
-    Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
-    values by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther
-    from the goal only moves down by what is lost. That is far less than dividing everything by the largest factor.
-
-    Args:
-        lowest: The lowest value in each cell.
-        highest: The highest value in each cell.
-        factor: The factor of each cell.
-
-    Returns:
-        Where the pieces of the piecewise linear function meet, ascending; and the function there: 0 at 0, rising by
-        at most one unit a unit.
+    Wherever the slope in a cell, with values from ``lowest`` to ``highest``, is ``factor`` times too large, the
+    function has at most the slope ``1 / factor``. Values farther from the goal move down by the loss alone, far less
+    than if all were divided by the largest factor. Returned are breakpoints, ascending, and the function there, 0 at
+    0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
     level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
     steepest = np.ones(len(level) - 1)
     first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-    for cell in order.tolist():  # the steepest last
+    for cell in order.tolist():  # the steepest last, to overwrite
         steepest[first[cell] : last[cell]] = factor[cell]
     value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
     return level, value - np.interp(0.0, level, value)
@@ -166,17 +152,11 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """How steep a lower bound of the cost-to-go may be: a convex set of gradients for each control point.
+    """The convex set of admissible gradients of a lower bound at each control point.
 
-    Along a motion ``dq``, the cost-to-go falls by no more than the motion costs. So if a lower bound has the gradient
-    ``g``, ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and
-    weighted turn, a product of balls; with pulls, a ball moved along a segment. Gradients are in coordinates in which
-    a step of length 1 within any block of axes costs 1.
-
-    Attributes:
-        blocks: Axes whose gradients are bounded together.
-        radius: Radius of the balls, at each control point.
-        pulls: Ends of the segment at each control point; None for none. There is one block then.
+    A lower bound may fall along a motion by at most the motion's cost. So minus its gradient lies in the set whose
+    support function is that cost: a ball for a length, a product of balls for a sum over blocks, and with pulls a
+    ball moved along the segment between them. Coordinates are such that a step of length 1 in a block costs 1.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -184,11 +164,11 @@ class SlopeSets:
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
-        """Lengths of vectors in each block."""
+        """Return lengths of vectors in each block."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
-        """The nearest vectors in the sets."""
+        """Return the nearest vectors in the sets."""
         offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
@@ -196,7 +176,6 @@ class SlopeSets:
         return nearest + offset
 
     def _nearest_offset(self, g: Vectors) -> Vectors | float:
-        """The nearest points of the negative segments."""
         if self.pulls is None:
             return 0.0
         first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
@@ -204,30 +183,30 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """By what vectors have to be divided, at the most, to be in the sets; below 1 within."""
+        """Return factors, below 1 in the sets, division by which puts vectors in the sets."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
             return length / self.radius
-        inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball about 0
+        inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball around 0
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """What it costs to move along a flow toward the goal, which is against its vectors."""
+        """Return the cost of motion against a flow, which is toward the goal."""
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
         return self.radius * norm + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
 
 
-# The penalties are at least this share of the median flow: with a small share flows settle sooner, else values do.
+# Least penalty, as a share of the median flow: flows converge sooner with a small one, values with a large one.
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0
 _RELAXATION = 1.6
-# Every so many iterations the bound is computed; it has converged if it has not risen by so much for so long.
+# Iterations between evaluations of the bound; and its least relative rise within so many iterations.
 _LOOK_EVERY, _GAIN, _PATIENCE = 10, 5e-4, 30
-# Conjugate gradients leave this share of the residual, or stop after so many steps.
+# Share of the residual that conjugate gradients leave, and most steps.
 _RESIDUAL, _MOST_STEPS = 1e-2, 50
-# Unknowns up to which a matrix in space is factored, and those of multigrid's smallest equations.
+# Most unknowns of a factored matrix in three dimensions, and of the coarsest grid of multigrid.
 _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
 
@@ -244,12 +223,9 @@ class SlopeProgram:
     """The program on one finite-element space.
 
     Attributes:
-        space: The functions.
-        gradient: Maps degrees of freedom to the control vectors, axis by axis, in the coordinates of the sets.
-        costs: What motions cost in each cell.
-        volume: Volume of each control point.
-        weight: The integral of each degree of freedom's basis function.
-        goal: The value at the goal, in terms of the degrees of freedom.
+        gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of the sets.
+        weight: The integral of each basis function.
+        goal: Maps degrees of freedom to the value at the goal.
         at: The goal, a fraction of the domain.
     """
 
@@ -263,15 +239,15 @@ class SlopeProgram:
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Numbers) -> "SlopeProgram":
-        """Build the program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
+        """Build the program on the part of a mesh that is connected to the goal, a fraction of the domain."""
         home = mesh.locate(goal[None])
-        if mesh.state[home[0]] == CellState.BLOCKED:  # to a tolerance: the goal is free
+        if mesh.state[home[0]] == CellState.BLOCKED:  # the goal is free to a tolerance
             state = mesh.state.copy()
             state[home] = CellState.MIXED
             mesh = mesh.with_state(state)
         mesh = with_open_contacts(mesh, space)
         mesh = mesh.without(~mesh.connected_to(int(home[0])))
-        # Degree 2 errs far less for its cells, but takes too long in more than two dimensions.
+        # Degree 2 errs far less a cell, but takes too long beyond two dimensions.
         functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
         gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
         num_controls = len(functions.lattice)
@@ -287,26 +263,25 @@ class SlopeProgram:
 
     @cached_property
     def sets(self) -> SlopeSets:
-        """How steep the functions may be at each control point."""
+        """The admissible gradients at each control point."""
         cell = np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
         return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
 
     def _linear(self, middle: Float[np.ndarray, "cells"]) -> PerControl:
-        """A linear bound of the factor at each control point, from its values in the middle of cells."""
         cell = self.space.mesh.open_cells
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """The control vectors, in the coordinates of the sets."""
+        """Return the control vectors, in the coordinates of the sets."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
-        """Mean control vectors of open cells, in the coordinates of the sets."""
+        """Return mean control vectors of open cells, in the coordinates of the sets."""
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return a :func:`rescaling_of` values, 0 at the goal, that satisfies the constraints, rounding included."""
+        """Return the function of :func:`rescaling_of` that makes these values admissible, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -314,23 +289,23 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """What the flow through each open cell costs at the most, less what it gains in value; all of it if mixed.
+        """Return for each open cell the largest cost of its flow, minus the gain in value unless it is mixed.
 
-        The sum of the losses is about how far the integral of the function is below that of the cost-to-go.
+        The sum is about the integral of the truth minus the lower bound.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
-        doubt = self._linear(self.costs.most) / self.sets.radius  # largest over least cost of a step
+        doubt = self._linear(self.costs.most) / self.sets.radius  # the largest over the least cost of a step
         cost = (doubt * self.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
         gain = np.sum(flow * self.mean_gradients(iterate.values), axis=1)
         gain[mesh.state[mesh.open_cells] == CellState.MIXED] = 0.0
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def loss_at_goal(self, iterate: Iterate) -> float:
-        """The loss in the goal's cell if what arrives at its nodes went straight to the goal.
+        """Return the loss in the goal's cell if what arrives at its nodes went straight to the goal.
 
-        Where the goal is within a cell, what arrives on one side may leave on the other: such a flow gains as much as
-        it costs, though values behind the goal are as far below 0 as they should be above.
+        Inside this cell, inflow on one side may leave on the other. Such a flow gains all its cost, though values
+        behind the goal are as far below 0 as they should be above.
         """
         space, mesh = self.space, self.space.mesh
         home = int(mesh.locate(self.at[None])[0])
@@ -342,13 +317,7 @@ class SlopeProgram:
         return float(self.volume[within] @ climbed + self.weight.sum() * (self.goal @ excess))
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Iterate so often from a start, or from 0 everywhere: enough to tell where the mesh is too coarse.
-
-        Args:
-            num_iterations: Iterations.
-            start: Values and flow to begin with, or None.
-            factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
-        """
+        """Iterate, with penalties set to the flow before the iterations ``factor_at``; None starts at 0."""
         if start is None:
             start = Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
         state = _Splitting(self, start, _LEAST_PENALTY)
@@ -359,7 +328,7 @@ class SlopeProgram:
         return state.iterate
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
-        """The best values that satisfy the constraints, and whether they had stopped rising before the limit."""
+        """Return the best admissible iterate, and whether values had stopped rising before the limit."""
         state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
@@ -375,17 +344,16 @@ class SlopeProgram:
 
 
 class _Splitting:
-    """The alternating direction method of multipliers, with penalties that are as large as the flow it starts from.
+    """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
 
-    Values ``u`` solve a Poisson equation, ``z`` is the nearest to their gradients ``g`` within the sets, and
-    ``penalty * y`` is the flow.
+    ``z`` is the projection to the sets of the gradients of the values ``u``; ``penalty * y`` is the flow.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
         self._program, radius = program, program.sets.radius
         self._load = program.weight - program.weight.sum() * program.goal
         flow = start.flow
-        if not flow.any():  # that of least squares, of the right size whatever the units
+        if not flow.any():  # start from the flow of least squares, which has the right size in any units
             potential = _Poisson(program, 1 / radius).solve(
                 self._load, np.zeros_like(flow), np.zeros(len(self._load))
             )
@@ -410,10 +378,10 @@ class _Splitting:
 
 
 class _Poisson:
-    """The equation of an iteration; one degree of freedom is held at 0.
+    """The Poisson equation of an iteration, with the first degree of freedom fixed to 0.
 
-    In few dimensions its matrix is factored. Beyond, where factors fill up, conjugate gradients with algebraic
-    multigrid go on from a guess, until a share of its residual is left.
+    In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
+    algebraic multigrid reduce the residual of the last solution.
     """
 
     def __init__(self, program: SlopeProgram, penalty: PerControl):

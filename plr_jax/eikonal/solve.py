@@ -1,6 +1,6 @@
-"""Straight from a configuration space to a PLR, without an oracle and without a roadmap.
+"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
 
-The lower bound is found on meshes that are refined where the flow of the convex program loses most.
+A convex program gives the lower bound. It is solved on meshes that are refined where its flow loses most.
 """
 
 import math
@@ -28,18 +28,15 @@ from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_er
 from plr_jax.plr.sampling import CellFit, sample_pattern
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
 
-# Most cells by default, by the number of axes, and beyond; and leaves of an estimate alone.
+# Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
-# More leaves a byte than any file has.
-_LEAVES_PER_BYTE = 2
-# Bytes of memory a cell at the least.
-_BYTES_A_CELL = 4_000
-# Splits along an axis of leaves that are cut off from the goal, but border on leaves that are not.
+_LEAVES_PER_BYTE = 2  # more than in any file
+_BYTES_A_CELL = 4_000  # of memory, at the least
+# Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
 _CUT_OFF_SPLITS = 6
-# Below this cost, 32 bits hold no distances.
-_LEAST_COST = 1e-30
-# Share of the domain by which a goal that is free to a tolerance may be outside.
+_LEAST_COST = 1e-30  # that 32 bits resolve
+# Share of the domain by which a goal may lie outside, as goals free to a tolerance may.
 _BESIDE = 1e-6
 
 
@@ -54,55 +51,56 @@ def solve_eikonal(
     certified: bool = True,
     seed: int = 0,
 ) -> PLR:
-    """Build a PLR of the cost-to-go of a configuration space: no oracle, no roadmap.
+    """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
-    is that of the grid, mostly 0.01 to 0.5 %.
+    is mostly 0.01 to 0.5 %, as on the grid.
 
-    By default bounds are proven as well, which takes longer. Cells are halved where that matters, and proven free,
-    blocked, or neither. The largest function that is 0 at the goal, continuous across every face that is not proven
-    blocked, and nowhere steeper than a step costs, is a lower bound of the cost of every path, in any dimension. The
-    straight line to the goal is another one. Paths through cells that are proven free bound the cost from above;
-    among voxels, paths from voxel to voxel do. The PLR is an estimate between the bounds. ``plr.bounds`` has both
-    bounds, which hold for every point from which the goal can be reached.
+    By default the PLR also has proven bounds, which takes longer. Cells are halved where that matters, and proven
+    free or blocked, or stay mixed. ``plr(x)`` is an estimate between the bounds ``plr.bounds(x)``, which hold for
+    every point from which the goal can be reached.
+
+    - The lower bound is the largest function that is 0 at the goal, continuous across every face that is not proven
+      blocked, and nowhere steeper than a step costs. The straight line to the goal is a lower bound too.
+    - The upper bound is the cost of paths through cells that are proven free, and among voxels of paths from voxel to
+      voxel. It is ``inf`` where no path was found.
 
     Args:
-        space: What is free, and what motions cost. If the space only tests configurations (:class:`FreeTest`), cells
-            count as free or blocked if all samples in them are. Then the PLR is an estimate, and nothing is proven.
+        space: The configuration space: what is free, and what motions cost. If it only tests configurations
+            (:class:`FreeTest`), a cell counts as free or blocked if all its samples do. Then nothing is proven.
         goal: The goal, ``(dim,)``, free.
-        cost_map: A factor of the cost of motions that differs from place to place, such as the reciprocal of a
-            speed, whose bounds over boxes are known; None: 1 everywhere.
-        max_leaves: Most leaves, at least 1. None: if nothing is proven, 2,000 or as many as ``max_bytes`` allows;
-            else 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. Certified PLRs have a leaf a cell.
-        max_bytes: Most bytes of the file. If a leaf for each cell takes more, a certified PLR has fewer leaves than
-            cells, grown from the estimate on the cells. The bounds of a leaf are then the worst ones of all cells
-            that it meets: ``inf`` if one of these has no upper bound. None: no limit.
-        tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
-            in units of cost, at least 0. None: 0, so that all of ``max_leaves`` are used. For certified PLRs only.
-        certified: Whether bounds are proven. False is for up to three axes.
+        cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
+        max_leaves: Most leaves, at least 1. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else
+            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell.
+        max_bytes: Most bytes of the file; None: no limit. If a leaf for each cell takes more, a certified PLR has
+            fewer leaves than cells. Each then has the worst bounds of the cells that it meets, and an upper bound of
+            ``inf`` if one of these has none.
+        tolerance: The estimated mean distance of the lower bound to the truth at which no more cells are halved, in
+            units of cost, at least 0. None: 0, so that all of ``max_leaves`` are used. For certified PLRs only.
+        certified: Whether to prove bounds. False is for up to three axes.
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves, or of planes if nothing is proven and motions of several blocks of axes add up
-        (as those of a body that turns). ``plr(x)`` is finite wherever some path leads to the goal. The PLR does not
-        test collision: points in obstacles, and points cut off from the goal within a 64th of the domain from points
-        that reach it, may have finite answers too. Upper bounds are ``inf`` where no path was found.
+        The PLR, of continuous leaves. It has planes if it is not certified and motions of several blocks of axes add
+        up, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the goal. The PLR does not test
+        collision, so it may be finite in obstacles, and at points cut off from the goal within a 64th of the domain
+        of points that reach it.
 
     Warns:
-        ConstructionInterrupted: If interrupted (Ctrl-C) once there is a first solution, of which the PLR then is.
-        UserWarning: If the lower bound, which is proven all the same, was still rising when iterations ran out. If
-            the estimate was more than a tenth outside of its proven bounds; there the nearer bound replaces it.
+        ConstructionInterrupted: If interrupted (Ctrl-C) after a first solution, of which the PLR then is.
+        UserWarning: If the lower bound, though proven, was still rising at the last iteration; or if the estimate was
+            more than a tenth outside of its bounds, where the nearer bound replaces it.
 
     Raises:
-        ValueError: If the space is none, the goal is not a free configuration of it, or a limit is out of its range.
-            If a limit is too small for one leaf, for four cells along each periodic axis, for cells at most 200,000
-            times as long as wide, or for samples in all open cells. If obstacles are so close to the goal that no
-            node of the grid sees it, ``certified=False`` comes with more than three axes or a tolerance, bounds of
-            the cost map are not positive and finite, or it is directional and the space's cost no length.
+        ValueError: If ``space`` is no space, the goal is not free, a limit is out of its range, or bounds of the cost
+            map are not positive and finite. If a limit is too small for one leaf, for four cells along each periodic
+            axis, for cells at most 200,000 times as long as wide, or for samples in all open cells. If
+            ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees the goal.
+            If a directional cost map comes with a space whose costs are no lengths.
 
     References:
-        Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
+        Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.
     """
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
@@ -138,7 +136,7 @@ def solve_eikonal(
             )
         _require_costs(guide.largest)
         limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
-        # Free space of bodies that turn is thin. Continuous leaves reach through walls there, and planes do not.
+        # The free space of a turning body is thin: continuous leaves would reach through its walls.
         if len(space.motion_cost.blocks) > 1:
             return construct(guide, domain, leaf="plane", **limits)
         options = BuildOptions(should_split=partial(_error_or_cut_off, space))
@@ -157,13 +155,13 @@ def solve_eikonal(
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return the largest error of each leaf, and more than that for large leaves that are cut off from the goal.
+    """Return the largest error of each leaf, and more for large leaves that are cut off from the goal.
 
-    A leaf from which no path leads to the goal borrows the function of a leaf beside it, for points on the face that
-    rounding places in it. So a leaf that holds free points, but none inside that reaches the goal, has to be small.
+    A leaf that no path joins to the goal borrows the function of an adjacent leaf, for points that rounding places in
+    it. If it holds free points, it must be small, since these should answer ``inf``.
     """
     error = largest_error(fit)
-    inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # beyond a face may be another side of a wall
+    inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # samples on faces may see the other side of a wall
     is_large = (fit.cells.depth < _CUT_OFF_SPLITS).any(axis=1)
     lost = np.flatnonzero(is_large & ~fit.reachable[:, inside].any(axis=1))
     if not len(lost):
@@ -178,10 +176,9 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
 
 
 def _require_costs(largest: float) -> None:
-    """Raise ``ValueError`` if the largest cost-to-go is positive and below what 32 bits hold."""
     if 0 < largest < _LEAST_COST:
         raise ValueError(
-            f"Costs must come to {_LEAST_COST:g} somewhere, got {largest:g} at the most: 32 bits hold none so small. "
+            f"Costs must come to {_LEAST_COST:g} somewhere, got at most {largest:g}, which 32 bits do not hold. "
             "Give the domain, or the costs, in smaller units."
         )
 
@@ -189,7 +186,6 @@ def _require_costs(largest: float) -> None:
 def _field(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int, tolerance: float
 ) -> CostToGoField:
-    """Find bounds of the cost-to-go and an estimate between them, on meshes of at most so many cells."""
     solver = SlopeSolver(space, cost_map, goal, most, tolerance)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
@@ -197,51 +193,44 @@ def _field(
         except KeyboardInterrupt:
             if solver.iterate is None:
                 raise
-            message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
+            message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR has these cells."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
     guide = grid_estimate(space, cost_map, domain.at(goal)) if mesh.dim <= MOST_AXES else None
     paths = shortest_paths(mesh, program.costs, goal, space)
     if guide is None:
-        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
+        nodal_estimate = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goal, space).cost[:-1]
     else:
-        likely = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, likely, space, guide)
+        nodal_estimate = guide(domain.at(mesh.nodes))
+    return CostToGoField(program, solver.values, paths, nodal_estimate, space, guide)
 
 
-# The first mesh has this share of the cells, but at least two: in one alone, flows to a goal in its middle cancel.
+# Share of the cells in the first mesh, and least number: in a single cell, flows to a goal in its middle cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
-# Share of the loss that is in the cells that are refined.
-_SHARE = 0.8
-# If mixed cells have more than this share of the loss, flows leak through walls: then some cells are kept for later,
-# except for the last few.
+_SHARE = 0.8  # of the loss, in the refined cells
+# If mixed cells have more than the first share of the loss, flows leak through walls. Some cells are then left for
+# later, unless fewer than the second share of all are left.
 _LEAKING, _LAST = 0.1, 0.01
-# Least and most by which a refinement multiplies the number of cells.
+# Least and largest factor by which a refinement multiplies the number of cells.
 _GROWTH = 1.3, 2.0
-# Iterations on the first mesh, on those after it, and at the end.
+# Iterations on the first mesh, on later ones, and at the end.
 _FIRST, _NEXT, _MOST = 100, 20, 1000
-# Iterations on the first mesh before which the penalties follow the flow.
+# Iterations on the first mesh before which penalties are set to the flow.
 _FACTORED_FIRST = (20, 40, 80)
-# A loss counts at most this much more for the way around that it hides.
+# Largest factor of a loss for the detour that it hides.
 _DETOUR = 16
-# Splits along an axis, where a query's tables resolve as many.
+# Most splits along an axis, if a query's tables resolve as many.
 _DEEPEST = 13
-# Share of a cell by which points keep off its faces.
-_INSET = 1e-9
+_INSET = 1e-9  # of points from the faces of a cell, as a share of it
 Point = Float[np.ndarray, "dim"]
 
 
 class SlopeSolver:
-    """The slope program on finer and finer meshes.
-
-    Args:
-        space: What is free.
-        cost_map: A factor of the cost of motions, or None.
-        goal: The goal, a fraction of the domain.
-        max_cells: Most cells.
-        tolerance: Mean loss at which the mesh is fine enough.
+    """The slope program on meshes that become finer.
 
     Attributes:
+        goal: The goal, a fraction of the domain.
+        tolerance: Mean loss at which the mesh is fine enough.
         program: The program on the finest mesh so far.
         iterate: Its solution; None before there is one.
     """
@@ -254,7 +243,7 @@ class SlopeSolver:
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goal)
         self.iterate: Iterate | None = None
-        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # what motions through mixed cells are
+        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # what mixed cells count as
 
     @property
     def mesh(self) -> Mesh:
@@ -268,10 +257,10 @@ class SlopeSolver:
         return self.iterate.values - self.program.goal @ self.iterate.values
 
     def refine(self, progress: tqdm) -> None:
-        """Solve, refine where the flow loses most, and solve again, to the limit; then once more, thoroughly."""
+        """Solve and refine in turn, up to the limit; then solve to convergence."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
-        parts = 2**self.mesh.dim - 1  # that one cell becomes more, at the most
+        parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds
         while True:
             which, room = self._marked(parts, self.iterate)
             if not len(which) or room < parts:
@@ -279,7 +268,7 @@ class SlopeSolver:
             coarse = self.mesh
             finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goal)
             fine = finer.space.mesh
-            # The same function and flow on the finer mesh.
+            # Interpolate function and flow on the finer mesh.
             space, size = finer.space, len(finer.space.lattice)
             inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
             x = fine.fractions(space.node_of // size, inset)
@@ -293,7 +282,7 @@ class SlopeSolver:
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
-            # What motions through cells are, for cells that were there before; MIXED for the others.
+            # Keep what old cells count as.
             before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
             is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
             self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
@@ -302,14 +291,15 @@ class SlopeSolver:
         if not has_converged:
             warnings.warn(
                 f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
-                "ones may be looser than cells allow. Compare those of another max_leaves.",
+                "bounds may be looser than the cells allow. Compare the bounds of another max_leaves.",
                 stacklevel=4,
             )
 
-    def likely_mesh(self) -> Mesh:
-        """The mesh with mixed cells counted as free if a straight motion through their middle is, else as blocked.
+    def mesh_without_mixed(self) -> Mesh:
+        """Return the mesh with each mixed cell counted as free or blocked.
 
-        It goes from face to face the way that paths go: that of the slope, when the cell was new.
+        It counts as free if the straight motion through its middle along the slope is free, by the slope when it was
+        new.
         """
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
@@ -324,12 +314,14 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """The cells to be refined, first those that lose most, and how many cells may come of it."""
+        """Return the cells to refine, in order of their loss, and how many cells this may add."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goal = self.program.losses(iterate), self.program.loss_at_goal(iterate)
-        # 1. In mixed cells across which costs differ more than a motion through them would cost, a thin wall is in
-        #    the way, and what a flow through it loses is the way around: such losses count more.
-        at_corners = graph_costs(self.likely_mesh(), costs, self.goal, self.space)[mesh.corners[mesh.open_cells]]
+        # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
+        #    through it saves the detour, so its loss counts more.
+        at_corners = graph_costs(self.mesh_without_mixed(), costs, self.goal, self.space)[
+            mesh.corners[mesh.open_cells]
+        ]
         is_reached = np.isfinite(at_corners)
         highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
         across = costs.of_motions(mesh.widths[mesh.open_cells], mesh.open_cells)
@@ -338,7 +330,7 @@ class SlopeSolver:
         loss = np.where(is_mixed, np.clip(share, 1.0, _DETOUR), 1.0) * loss
         if max(loss.sum(), at_goal) <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64), 0
-        # 2. The goal's cell comes first if it hides a loss, then cells by what they lose.
+        # 2. The goal's cell comes first if it hides a loss, then cells by their loss.
         is_first = (mesh.open_cells == mesh.locate(self.goal[None])) & (at_goal > loss)
         order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
         # 3. Refine most of the loss, but neither too few nor too many cells.
@@ -348,17 +340,17 @@ class SlopeSolver:
         deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= most_splits
         left = self.max_cells - num_cells
         if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
-            left = int(_SHARE * left)  # where walls are open still, the next flow finds what is open then
+            left = int(_SHARE * left)  # the next flow finds the walls that are still open
         return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
 
 
-# Samples of a box, beside the corners and the center, and of a motion.
+# Samples of a box, and of a motion.
 _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33
 
 
 @dataclass(frozen=True, eq=False)
 class SampledSpace(CheckedSpace):
-    """A space that only tests configurations: boxes are classified by samples, and nothing is proven."""
+    """A space that only tests configurations. It classifies boxes by samples, so nothing is proven."""
 
     seed: int
 
@@ -367,14 +359,14 @@ class SampledSpace(CheckedSpace):
         return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
 
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
-        """Free or blocked if all samples are, else mixed."""
+        """Return free or blocked if all samples of a box are, else mixed."""
         x = lo[:, None] + (hi - lo)[:, None] * self._samples
         free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether all samples of straight motions are."""
+        """Return whether all samples of straight motions are free."""
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
         free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])

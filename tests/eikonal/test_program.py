@@ -172,7 +172,7 @@ def solver_of(workspace, max_cells):
 
 def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
     solver = solver_of(THIN_WALL, 200)
-    likely, mixed = solver.likely_mesh(), solver.mesh.state == CellState.MIXED
+    likely, mixed = solver.mesh_without_mixed(), solver.mesh.state == CellState.MIXED
     np.testing.assert_array_equal(likely.state[~mixed], solver.mesh.state[~mixed])
     lo, hi = likely.boxes
     crossed = mixed & (hi[:, 1] < 0.5) & (lo[:, 0] > 0.3)
@@ -184,7 +184,7 @@ def test_cells_are_likely_free_where_motions_pass_beside_what_is_in_them():
     places = [np.array(place) for place in itertools.product(np.arange(7) / 8 + 0.03, repeat=2)]
     corners = np.array([(0, 0), (0.02, 0), (0.02, 0.02), (0, 0.02)])
     solver = solver_of(Workspace(((0, 0), (1, 1)), [place + corners for place in places]), 80)
-    likely, mixed = solver.likely_mesh(), solver.mesh.state == CellState.MIXED
+    likely, mixed = solver.mesh_without_mixed(), solver.mesh.state == CellState.MIXED
     assert mixed.sum() > 20 and np.mean(likely.state[mixed] == CellState.FREE) > 0.4
 
 

@@ -15,7 +15,7 @@ from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, construct, load, load_numpy
+from plr_jax import Box, VoxelSpace, construct, load, load_numpy, solve_eikonal
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
@@ -302,6 +302,14 @@ def test_modules_answer_as_numpy_does(name, tmp_path, node):
         assert same_bits(in_node(x, "waypoint", plr.dim), waypoints.astype(np.float64))
     if f.max_error is not None:
         assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
+
+
+@pytest.mark.full
+def test_modules_bound_by_the_straight_line_as_numpy_does(tmp_path, node):
+    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2.0, 0.5), max_leaves=40)
+    x = np.random.default_rng(0).random((5_000, 3)) * (6, 5, 4)
+    found = NodeModule(plr.js_module(), tmp_path)(x, "bounds", 2)
+    assert same_bits(found, np.stack(plr.numpy().bounds(x), axis=1).astype(np.float64))
 
 
 @pytest.mark.full

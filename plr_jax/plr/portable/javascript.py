@@ -163,13 +163,15 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     if is_proven:
         do, answer, above_corner = value("[NaN, NaN]", "[Infinity, Infinity]")
         straight = program.straight_bound(do, above_corner)
-        straight_line = 0 if straight is None else f"Math.min({straight}, value)"
+        least = "lower > 0 ? lower : 0"
+        if straight is not None:
+            least = f"Math.max(lower, Math.min({straight}, value), 0)"
         below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
         do.statements += [
             f"const value = {answer};",
             "if (value === Infinity) return [value, value];",
             f"const lower = beside({below}, false);",
-            f"return [Math.max(lower, {straight_line}, 0), beside({above}, true)];",
+            f"return [{least}, beside({above}, true)];",
         ]
         lines += js_function("export function bounds(x)", do.used_statements())
     return lines
