@@ -197,7 +197,8 @@ def _scan(
 ) -> Iterator[tuple[_Cells, _Cells, int]]:
     """Yield, row by row, the corners, their numbers of visible cells ahead, and the steps aside.
 
-    A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in ``ends_later``.
+    A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in
+    ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
