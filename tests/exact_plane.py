@@ -133,7 +133,7 @@ class ExactPlane:
                 free.append((u, v))
         return list(free)
 
-    def _just_beside(self, x: Point, d: Vector) -> Point:
+    def _just_beside(self, x: Point, d: Any) -> Point:
         """Return a point in a direction from ``x``, before the first edge there."""
         nearest = Fraction(1)
         for a, b in self.edges:
@@ -187,7 +187,7 @@ class ExactPlane:
         p, q = self._placed([a, b])
         return bool(self.sectors[p]) if p == q else bool(self._links_between([p], [q]))
 
-    def joins(self, a: Sequence[Any], b: Sequence[Any], radius: float) -> bool:
+    def joins(self, a: Any, b: Any, radius: float) -> bool:
         """Whether a path in free space joins two points whose vertices are within a radius of their segment."""
         p, q = self._placed([a, b])
         start, end = as_floats([p, q])
@@ -236,9 +236,11 @@ class ExactPlane:
                 found += [tuple(p + s * (q - p) for p, q in zip(*ends, strict=True)) for s in shares]
         for at in {as_exact(each) for each in found if in_sectors}:
             sectors = self.sectors_at(at)
-            for u, v in sectors if len(sectors) > 1 else []:
-                middle = _middle(u, v)
-                scale = Fraction(radius / 2 / float(np.hypot(*map(float, middle))))
+            for sector in sectors:
+                if sector is None or len(sectors) == 1:
+                    continue
+                middle = _middle(*sector)
+                scale = Fraction(radius / 2 / float(np.hypot(float(middle[0]), float(middle[1]))))
                 inside = self._just_beside(at, (middle[0] * scale, middle[1] * scale))
                 found.append((Fraction(inside[0], inside[2]), Fraction(inside[1], inside[2])))
         return found

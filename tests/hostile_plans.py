@@ -227,19 +227,22 @@ class Judge:
         reached, width = np.isfinite(exact), float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(reached.sum())
         for i in np.flatnonzero(reached & ((lower > exact + slack) | (upper < exact - slack))):
-            for radius, kind in (
-                (_NEAR * self.plan.tolerance, ""),
-                (_NEAR_32 * width, ", but for what 32 bits resolve"),
-            ):
-                allowed = [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
-                if any(lower[i] <= hi + slack and upper[i] >= lo - slack for lo, hi in allowed):
-                    break
+            allowed = {
+                kind: [self.interval(plane, goal, x[i], radius) for plane in (self.given, self.rounded)]
+                for kind, radius in (
+                    ("within the tolerance", _NEAR * self.plan.tolerance),
+                    ("broken, but for 32 bits", _NEAR_32 * width),
+                )
+            }
+            holds = {
+                kind: any(lower[i] <= hi + slack and upper[i] >= lo - slack for lo, hi in intervals)
+                for kind, intervals in allowed.items()
+            }
+            kind = next((kind for kind, is_held in holds.items() if is_held), "broken")
+            if kind == "within the tolerance":
+                self.counts[f"{name}: {kind}"] += 1
             else:
-                kind = ", for all points that are as near"
-            if kind:
-                self.fail(f"{name}: broken{kind}", goal, x[i], (lower[i], upper[i]), exact[i], allowed[0])
-            else:
-                self.counts[f"{name}: within the tolerance"] += 1
+                self.fail(f"{name}: {kind}", goal, x[i], (lower[i], upper[i]), exact[i], allowed)
 
     def sight(self, name: str, goal: Any, x: np.ndarray, got: np.ndarray):
         self.counts[f"{name}: asked"] += len(x)

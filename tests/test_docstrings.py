@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 OPENERS = re.compile(
     r"(what|of|where|who(m|se)?|which|th(e|o)se|th(at|is)|such|its?|they|them|their|s?he|we|our|your?|ones?|another|each|both"
-    r"|some\w*|all|any\w*|none|nothing|every\w*|the (same|others?))\b",
+    r"|some\w*|all|any(one|thing)?|none|nothing|every\w*|the (same|others?))\b(?!-)",
     re.IGNORECASE,
 )
 MAX_WORDS = 25

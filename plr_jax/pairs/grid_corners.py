@@ -195,8 +195,7 @@ def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Itera
 def _scan(
     sector: _Sector, ends_row: Bool[np.ndarray, "rows columns"], ends_later: Bool[np.ndarray, "rows columns"]
 ) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, row by row, what corners see in a sector: corner numbers, numbers of visible cells ahead, and steps
-    aside.
+    """Yield, row by row, the corners, their numbers of visible cells ahead, and the steps aside.
 
     A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in
     ``ends_later``.

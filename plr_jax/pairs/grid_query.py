@@ -109,8 +109,8 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
-    # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked. Transpose
-    # and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
+    # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
+    # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     way = q - p
     transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0

@@ -88,7 +88,9 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
-    numbers = contents.leaf.leaf_parameters(contents.domain, contents.tree.leaves, filled_coefficients(contents), corner)
+    numbers = contents.leaf.leaf_parameters(
+        contents.domain, contents.tree.leaves, filled_coefficients(contents), corner
+    )
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # also false for NaN
         raise ValueError(f"its distances and slopes must be below {LARGEST:g} for 32-bit floats; scale them down")
     return domain, numbers

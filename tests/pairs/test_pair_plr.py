@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from pair_helpers import MAZE, TEN, exact, serpentine, stored_ring, two_batches
+from piece_helpers import box
 
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
@@ -225,14 +226,15 @@ def test_lines_past_a_contact_are_straight_and_bounds_hold_there():
         assert np.isinf(answers((8, 5), (1, 5)))
 
 
-@pytest.mark.parametrize("gap", [0, 3e-9, 5e-8])
+@pytest.mark.parametrize("gap", [0, 6e-9, 5e-8])
 def test_gaps_that_32_bits_do_not_resolve_are_open_and_contacts_are_not(gap):
-    """Tips of two triangles meet but for the gap: a path to the other side turns at a tip, or there is none."""
-    tips = [[(0, 0.3), (0.5, 0.5), (0, 0.7)], [(1, 0.3), (0.5 + gap, 0.5), (1, 0.7)]]
-    pairs = construct_pairs(Workspace(((0, 0), (1, 1)), tips), max_bytes=2**11)
-    expected = [2 * math.hypot(0.3, 0.3), 0.8] if gap else [math.inf, math.inf]
+    """A path turns at the tip of a triangle, in the gap to a rectangle, or around the triangle's other end."""
+    triangle, rectangle = [(0.243, 0.412), (0.887, 0.54), (0.374, 0.49)], (0.887 + gap, 0.412, 1, 0.54)
+    pairs = construct_pairs(Workspace(((0, 0), (1, 1)), [triangle, box(*rectangle)]), max_bytes=2**11)
+    through, around = math.hypot(0.387, 0.06) + math.hypot(0.087, 0.09), math.hypot(0.257, 0.188)
+    expected = through if gap else around + math.hypot(0.557, 0.038)
     for answers in (pairs, pairs.numpy()):
-        np.testing.assert_allclose(answers([(0.2, 0.2), (0.5, 0.1)], [(0.2, 0.8), (0.5, 0.9)]), expected, rtol=1e-6)
+        assert answers((0.5, 0.6), (0.8, 0.45)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_lines_along_a_wall_do_not_pass_a_tip_that_touches_it():

@@ -56,11 +56,11 @@ def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
 def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
     found, _ = outline(Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze))
     assert found.may_squeeze == squeeze and found.is_contact.sum() == (0 if squeeze else 2)
-    # Obstacles recede, and their corners (5, 5) move into both. Walls there and back from the contact part both sides.
+    # Corners (5, 5) move into both obstacles. Walls from the contact, there and back, part the sides.
     walls = {tuple(wall) for wall in found.moved_walls(0.1).round(9).tolist()}
     into = {(5.0, 5.0, corner, corner) for corner in (4.9, 5.1)}
     assert (into <= walls) != squeeze and ({wall[2:] + wall[:2] for wall in into} <= walls) != squeeze
-    ends = {wall[:2] for wall in found.moved_walls(0.1, surely=True).round(9).tolist() for wall in [tuple(wall)]}
+    ends = {tuple(wall[:2]) for wall in found.moved_walls(0.1, surely=True).round(9).tolist()}
     assert {(4.9, 4.9), (5.1, 5.1)} <= ends and (5.0, 5.0) not in ends
 
 
