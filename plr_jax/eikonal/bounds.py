@@ -367,10 +367,11 @@ def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
-    if len(costs.motion.blocks) != 1 or domain.is_periodic or not _TINIEST < costs.least_rate * largest < _LARGEST:
+    (_, weight), *others = costs.motion.blocks
+    if others or domain.is_periodic or not _TINIEST < costs.least_rate * largest < _LARGEST:
         return None
     goal = field.paths.points[-1] * domain.width
-    rate = (1 - _OF_LENGTHS) * costs.motion.blocks[0][1] * costs.least_rate
+    rate = (1 - _OF_LENGTHS) * weight * costs.least_rate
     return np.array([*goal, rate, 8 * UNIT * rate * largest], np.float32).astype(np.float64)
 
 
