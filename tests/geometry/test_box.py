@@ -71,8 +71,8 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
         *(
             (lambda at=at: Slice.of(Box(*SPACE), at), message)
             for at, message in (
-                (None, "of 3 coordinates, at must give 1, got 0"),
-                ({0: 1.0, 1: 0.0}, "must give 1, got 2"),
+                (None, "at must fix 1 of 3 coordinates, got 0"),
+                ({0: 1.0, 1: 0.0}, "must fix 1 of 3 coordinates, got 2"),
                 ({3: 1.0}, "at must map axes to coordinates"),
                 ({-1: 6.0}, "at must map axes to coordinates"),
                 ({0: 9.0}, "at must lie in Box"),

@@ -228,7 +228,7 @@ def test_what_is_refused(ask, message):
 def test_a_stack_refuses_another_team(plrs):
     with pytest.raises(ValueError, match=r"shape \(n, 3, dof\), got \(5, 2, 3\)"):
         type(plrs[0]).stack(plrs)(np.zeros((5, 2, 3)))
-    with pytest.raises(ValueError, match="robot 2 has 3 dimensions, got 2"):
+    with pytest.raises(ValueError, match="robot 2 needs 3 coordinates, got configurations of 2"):
         sum_of_distances(plrs)(np.zeros((5, 3, 2)))
 
 

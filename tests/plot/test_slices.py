@@ -148,7 +148,7 @@ def test_errors_of_a_slice():
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda: plot.plot_contours(Sum(), at={2: 0.0, 1: 1.0}), "at must give 1, got 2"),
+        (lambda: plot.plot_contours(Sum(), at={2: 0.0, 1: 1.0}), "at must fix 1 of 3 coordinates, got 2"),
         (lambda: plot.plot_contours(Sum(), at={3: 0.0}), "at must map axes to coordinates"),
         (lambda: plot.plot_contours(Sum(), at={1: 5.0}), "at must lie in Box"),
         (lambda: plot.plot_contours(Sum(), at={2: math.nan}), "finite"),

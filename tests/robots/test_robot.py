@@ -90,7 +90,7 @@ def test_turning_costs_the_way_of_the_farthest_point():
 
 
 def test_a_scene_file_refuses_a_shape_that_it_has_no_word_for(tmp_path):
-    with pytest.raises(ValueError, match=r"Robot 0 cannot be saved: .* polygon, got Hexagon\(side=0.3\)"):
+    with pytest.raises(ValueError, match=r"Robot 0 must have one of the shapes .* polygon to be saved, got Hexagon\(side=0.3\)"):
         scenes.save(swap(Hexagon(0.3), WING), tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []
 

@@ -229,7 +229,7 @@ def test_bounds_of_a_volume_hold_the_lengths_of_paths():
         (lambda: VoxelSpace(np.zeros((2, 2), bool)), "at least one free voxel"),
         (lambda: VoxelSpace(CHECKERS[:0]), "at least one free voxel"),
         (lambda: VoxelSpace(CHECKERS, ((0,), (1,))), "bounds must have 2 axes"),
-        (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "without periodic axes"),
+        (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "must not have periodic axes"),
         (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
         (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
         (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
