@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, ListedColormap, Normalize
+from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
@@ -105,7 +105,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
 
 _CELL_COLOR = "#6e6e6e"
 OBSTACLE = "#ececec"
-_ERROR_COLORS = "inferno"
+_ERROR_COLORS, _ERROR_RANGE = "inferno", 1e-3  # smallest error that is told apart, as a share of the largest
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
@@ -256,8 +256,8 @@ def plot_error(
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors.
-        largest: Error at the upper end of the color scale; larger errors are clipped. By default the 99.9 % quantile.
-            Use the same number for pictures that are to be compared.
+        largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it. Errors
+            beyond its ends are clipped. By default the 99.9 % quantile. Use the same number in pictures to compare.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]
@@ -266,13 +266,15 @@ def plot_error(
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
     ax = prepare_axes(ax, shown)
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    image = add_image(ax, shown.box, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
+    smallest = _ERROR_RANGE * (largest or 1.0)
+    shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
+    image = add_image(ax, shown.box, shown_errors, _ERROR_COLORS, smallest, largest or 1.0, LogNorm)
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
         add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
-    clipped = "max" if finite.max() > largest else "neither"
+    clipped = "both" if finite.max() > largest else "min"
     add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend=clipped)
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
     return ax
@@ -321,9 +323,15 @@ def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4
 
 
 def add_image(
-    ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, lowest: float, largest: float | None
+    ax: Axes,
+    box: Box,
+    values: np.ma.MaskedArray,
+    colors: str | Colormap,
+    lowest: float,
+    largest: float | None,
+    norm: type[Normalize] = Normalize,
 ) -> AxesImage:
-    scale = {"cmap": colors, "vmin": lowest, "vmax": largest}
+    scale = {"cmap": colors, "norm": norm(lowest, largest)}
     extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
     return ax.imshow(values, origin="lower", extent=extent, aspect=aspect, interpolation="nearest", **scale)
 

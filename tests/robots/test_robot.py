@@ -90,7 +90,9 @@ def test_turning_costs_the_way_of_the_farthest_point():
 
 
 def test_a_scene_file_refuses_a_shape_that_it_has_no_word_for(tmp_path):
-    with pytest.raises(ValueError, match=r"Robot 0 must have one of the shapes .* polygon to be saved, got Hexagon\(side=0.3\)"):
+    with pytest.raises(
+        ValueError, match=r"Robot 0 must have one of the shapes .* polygon to be saved, got Hexagon\(side=0.3\)"
+    ):
         scenes.save(swap(Hexagon(0.3), WING), tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []
 
@@ -163,7 +165,7 @@ def test_a_polygon_that_is_a_rectangle_has_its_sides():
     [
         ([(0, 0), (1, 0)], "2 distinct vertices"),
         ([(0, 0), (1, 1), (2, 2)], "zero area"),
-        ([(0, 0), (1, 0), (0, np.nan)], "not finite"),
+        ([(0, 0), (1, 0), (0, np.nan)], "must have finite coordinates"),
         ([(-1, -1), (0, -0.5), (1, -1), (0, 1)], "must be convex"),
         ([(np.cos(a), np.sin(a)) for a in 0.8 * np.pi * np.arange(5)], "not a simple polygon"),
         ([(1, 1), (2, 1), (1, 2)], r"must have its reference point.*1\.41 outside"),
