@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
@@ -134,7 +135,8 @@ def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "
 
 
 def style_colorbar(bar: Colorbar, label: str) -> None:
-    bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
+    if not isinstance(bar.norm, LogNorm):
+        bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
     bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)
     bar.set_label(label, fontsize=FONT_SIZE, color=INK)
     bar.ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
