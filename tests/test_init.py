@@ -1,3 +1,4 @@
+import inspect
 import re
 import subprocess
 import sys
@@ -13,6 +14,16 @@ def test_every_public_name_is_there():
     for name in plr_jax.__all__:
         assert getattr(plr_jax, name) is not None
     assert set(plr_jax.__all__) <= set(dir(plr_jax))
+
+
+def test_every_public_class_function_and_member_has_a_docstring():
+    for name in plr_jax.__all__:
+        public = getattr(plr_jax, name)
+        members = vars(public) if inspect.isclass(public) else {}
+        named = {f"{name}.{each}": getattr(public, each) for each in members if not each.startswith(("_", "tree_"))}
+        for dotted, value in {name: public, **named}.items():
+            if callable(value) or isinstance(value, property):
+                assert inspect.getdoc(value) or name == "DistanceFn", dotted
 
 
 def test_the_page_names_every_guide_and_its_example_runs(tmp_path, monkeypatch):

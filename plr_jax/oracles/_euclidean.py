@@ -31,6 +31,7 @@ class Euclidean:
 
     @property
     def dim(self) -> int:
+        """Number of coordinates of a point."""
         return self.goal.size
 
     @property

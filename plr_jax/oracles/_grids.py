@@ -359,6 +359,7 @@ class GridField:
 
     @property
     def dim(self) -> int:
+        """Number of coordinates of a point."""
         return self.bounds.dim
 
     def __call__(self, x: ArrayLike) -> Distances:

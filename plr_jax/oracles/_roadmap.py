@@ -294,6 +294,7 @@ class Roadmap:
 
     @property
     def dim(self) -> int:
+        """Number of coordinates of a point."""
         return self.domain.dim
 
     @property

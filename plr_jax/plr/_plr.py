@@ -330,6 +330,7 @@ class PLR(FileBacked):
 
     @property
     def dim(self) -> int:
+        """Number of coordinates of a point."""
         return self.tables.dim
 
     @cached_property
@@ -358,6 +359,7 @@ class PLR(FileBacked):
 
     @property
     def num_leaves(self) -> int:
+        """Number of leaves, which is the number of final cells."""
         return len(self.cells)
 
     @property
@@ -455,6 +457,7 @@ class LowerBound:
 
     @property
     def dim(self) -> int:
+        """Number of coordinates of a point."""
         return self.plr.dim
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:

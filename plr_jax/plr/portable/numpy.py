@@ -238,6 +238,7 @@ class NumpyPLR:
         return f"NumpyPLR({self._program.leaf.name!r}, {size}{proof}, {self.domain})"
 
     def to_bytes(self) -> bytes:
+        """Return the bytes of the file."""
         return self._data
 
     def c_header(self, name: str) -> str:
