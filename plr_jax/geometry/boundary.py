@@ -408,6 +408,9 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
                 f"Obstacles leave walls or gaps that are too thin: make them thicker than {coarser:.1e} or leave "
                 "them out. If the workspace is far from the origin, translate it there first."
             )
+        # Morphological opening removes spikes of free space, which snapping could widen to a passage.
+        for radius in (-coarser / 2, coarser / 2):
+            region = shapely.buffer(region, radius, join_style="mitre", mitre_limit=1e3)
         region = _simplify(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2
     return Region(region, boundary, coarser == 32 * grid)

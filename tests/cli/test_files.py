@@ -118,7 +118,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     assert (tmp_path / "grid.h").read_text() == header.text
     assert (tmp_path / "grid.tables").read_bytes() == header.table
     for arguments, message in (
-        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, which JavaScript does not answer"),
+        (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, which only C headers support"),
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
         (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),

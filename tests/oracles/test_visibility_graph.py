@@ -210,6 +210,8 @@ def test_distances_equal_those_of_a_plain_visibility_graph_and_paths_are_as_long
 @example(977, True, 1.0, 0.0, 50.0)
 @example(2286, False, 0.3, -1.5, -70.0)
 @example(3223, True, 2.0, -0.5, 30.0)
+@example(0, True, 4e-12, 1.0, 1.905448586686731)
+@example(1, False, 4e-12, 1.0, 1.905448586686731)
 def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log_scale, shift):
     """Off the axes what was collinear, or touched, is so up to rounding only."""
     workspace, scale = lattice_workspace(np.random.default_rng(seed), squeeze), 10**log_scale

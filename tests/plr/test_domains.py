@@ -257,7 +257,7 @@ def test_farther_than_64_bits_with_tables_of_32():
     far = np.full(2, 1e13)
     plr = construct(Euclidean(far + 1), Box(far, far + 2), max_leaves=20)
     np.testing.assert_allclose(plr(far + np.array([1, 2])), 1, atol=0.05)
-    with jax.enable_x64(True), pytest.raises(ValueError, match=r"float64 points, or 32-bit tables.*build it in"):
+    with jax.enable_x64(True), pytest.raises(ValueError, match=r"float64 points, or 32-bit tables.*build the PLR in"):
         plr(jnp.asarray(far + 1))
 
 
