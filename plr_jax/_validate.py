@@ -169,7 +169,8 @@ class _Encounter:
     @cached_property
     def findings(self) -> _Findings:
         """The smallest clearance, and the first motion that collides."""
-        smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
+        at_rows = self.clearances(np.arange(len(self.path), dtype=float))
+        smallest = np.minimum(*(at_rows[ends] for ends in _ENDS))
         straight = np.flatnonzero(~self.turns)
         smallest[straight] = self.swept(straight)
         motion, begin, size = np.flatnonzero(self.turns), np.zeros(self.turns.sum()), 1.0

@@ -160,7 +160,7 @@ class NamedMap:
         reading = {key: value for key, value in self.given_options().items() if key not in ("goal", "radius")}
         if self.name not in SCENES and not Path(self.name).suffix:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a file of a map, got {self.name!r}.")
-        if self.name in SCENES or (Path(self.name).suffix == ".json" and scenes.is_scene(self.name)):
+        if self.name in SCENES or (Path(self.name).suffix.lower() == ".json" and scenes.is_scene(self.name)):
             if reading:
                 options = ", ".join(map(option_of, reading))
                 raise ValueError(f"{self.name} is a scene, which has no options of a reader: leave out {options}.")

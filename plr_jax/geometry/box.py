@@ -218,7 +218,8 @@ class Slice:
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
         """Return the slice with fixed coordinates ``at``, a mapping of axes to coordinates; None for a 2-D box."""
         at = {} if at is None else at
-        if not isinstance(at, Mapping) or not set(at) <= set(range(domain.dim)):
+        are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
+        if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):
             raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {shortened(at)}.")
         shown = [axis for axis in range(domain.dim) if axis not in at]
         if len(shown) != 2:

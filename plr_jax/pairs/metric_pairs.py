@@ -40,8 +40,8 @@ class MetricPairs:
             y: Points whose shape broadcasts with ``x``.
 
         Returns:
-            Distances, ``(...)``, at least 0: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` outside the box and in leaves without a joined pair; NaN for NaN.
+            Distances, ``(...)``, at least 0: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``
+            in the box. ``inf`` outside the box and in leaves without a joined pair; NaN for NaN.
 
         Raises:
             ValueError: If the last axis of the points is not ``dim``.
@@ -53,9 +53,15 @@ class MetricPairs:
         on_host = isinstance(x, np.ndarray) and isinstance(y, np.ndarray)
         module: Any = np if on_host else jnp  # NumPy points keep 64 bits
         x, y = module.broadcast_arrays(x, y)
+        domain = self.plr.domain
+        lo, hi, periodic = domain.lo[: self.dim], domain.hi[: self.dim], np.array(domain.periodic[: self.dim])
+        if periodic.any():  # the PLR was built of wrapped points, so these are what is ordered
+            lo, hi, x, y = (each.astype(module.result_type(x, y, np.float32)) for each in (lo, hi, x, y))
+            x, y = (module.where(periodic, lo + (p - lo) % (hi - lo), p) for p in (x, y))
         swaps = _comes_later(x, y)[..., None]
         value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
-        return jnp.where((x == y).all(axis=-1), jnp.zeros_like(value), jnp.maximum(value, 0))
+        is_one_point = ((x == y) & (lo.astype(x.dtype) <= x) & (x <= hi.astype(x.dtype))).all(axis=-1)
+        return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
 
     @property
     def dim(self) -> int:

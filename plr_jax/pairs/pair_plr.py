@@ -85,7 +85,7 @@ class PairPLR(FileBacked):
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
-        known = self.__dict__.get("tables")
+        known = self.__dict__.get("tables", self._known_tables)
         return replace(self, file=super().with_label(label).file, _known_tables=known, _known_stored=stored)
 
     def __call__(
@@ -252,8 +252,8 @@ class PairPLR(FileBacked):
         return len(self.stored.corner)
 
     def __repr__(self) -> str:
-        if isinstance(self.file, Tracer):
-            return "PairPLR(of arrays that are traced)"
+        if np.ndim(self.file) != 1 or isinstance(self.file, Tracer):
+            return "PairPLR(of arrays that are traced or stacked)"
         leaves, corners = self.num_leaves, self.num_corners
         return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
 

@@ -33,6 +33,7 @@ def maps(tmp_path_factory):
     (folder / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
     (folder / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
     scenes.save(scenes.maze(), folder / "maze.json")
+    (folder / "MAZE.JSON").write_bytes((folder / "maze.json").read_bytes())
     scenes.save(scenes.four_rooms(2), folder / "team.json")
     scenes.save(scenes.tangle(), folder / "tangle.json")
     return folder

@@ -42,6 +42,7 @@ def test_numbers_are_decimal(text, numbers):
         ("grid.map", 5, None),
         ("polygons.json", 4.5, None),
         ("maze.json", scenes.maze().workspace.free_space.area, scenes.maze().goals[0]),
+        ("MAZE.JSON", scenes.maze().workspace.free_space.area, scenes.maze().goals[0]),
         ("team.json", scenes.four_rooms(2).workspace.free_space.area, None),  # of two robots: the user chooses
     ],
 )

@@ -52,6 +52,14 @@ def test_a_line_that_closes():
     pairs = construct_metric_pairs(around, Box((0.0,), (1.0,), (True,)), max_leaves=300)
     x, y = random_points(3, dim=1)
     assert np.abs(np.asarray(pairs(x, y)) - around(x, y)).mean() < 0.01
+    np.testing.assert_allclose(pairs(x + 3, y - 2), pairs(x, y), atol=1e-5)  # whole turns change nothing
+    assert float(pairs(np.array([0.9]), np.array([1.1]))) == pytest.approx(0.2, abs=0.01)
+    np.testing.assert_array_equal(pairs(np.full((1, 1), 0.25), np.full((1, 1), 4.25)), 0)
+
+
+def test_equal_points_outside_the_box_are_infinitely_far(pairs):
+    ends = np.array([[0.5, 0.5], [1.5, 0.5], [np.nan, 0.5]])
+    np.testing.assert_array_equal(pairs(ends, ends), [0, np.inf, np.nan])
 
 
 def test_far_from_the_origin_and_from_a_file_it_answers_alike(pairs, tmp_path):

@@ -117,6 +117,8 @@ def test_tables_are_made_once_when_they_are_first_needed(maze):
     moved = jax.tree_util.tree_map(jnp.asarray, fresh)
     np.testing.assert_allclose(moved(x, y), expected, rtol=3e-7, atol=6e-8)
     assert moved.to_bytes() == maze.to_bytes()
+    assert moved.with_label("new").tables is moved.tables
+    assert "stacked" in repr(jax.tree_util.tree_map(lambda leaf: jnp.stack([leaf, leaf]), fresh))
     paths = {jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(fresh)}
     assert {".file", ".tables.distances"} <= paths
 
