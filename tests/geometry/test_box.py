@@ -75,7 +75,6 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
                 ({0: 1.0, 1: 0.0}, "must fix 1 of 3 coordinates, got 2"),
                 ({3: 1.0}, "at must map axes to coordinates"),
                 ({-1: 6.0}, "at must map axes to coordinates"),
-                ({2.0: 0.5}, "at must map axes to coordinates"),
                 ({0: 9.0}, "at must lie in Box"),
                 ({0: float("nan")}, "must have finite coordinates"),
             )
