@@ -161,8 +161,8 @@ def construct(
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
             ``28 // dim``.
-        tolerance: Error, in units of distance, up to which a cell is not split: its largest error at samples, for
-            cones and certified planes its proven error.
+        tolerance: Error, in units of distance, up to which a cell is not split: by default its largest error at
+            samples, for cones and certified planes its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
             ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
             cells, such as ``VisibilityGraph``; see :func:`certify`.
@@ -350,7 +350,7 @@ def build_best_model(
 
     A model for which ``build`` raises ``ValueError`` is skipped. Models are compared by their largest proven error,
     or without a proof by the error at random points. ``only_bytes`` tells that neither ``max_leaves`` nor
-    ``max_depth`` is given, and that the options have the default rules and weights.
+    ``max_depth`` is given, and that ``weight_fn``, ``should_split`` and ``split`` are the defaults.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         distance_fn = _BoxOracle(distance_fn, grown_domain(domain))

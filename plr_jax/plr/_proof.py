@@ -21,7 +21,7 @@ _COARSEST = 1e-4
 
 
 def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``root``: the oracle's answer for the whole domain, slightly enlarged."""
+    """Prove error bounds of all leaves; ``root``: the oracle's ``cell_sources`` of the slightly enlarged domain."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
         raise ValueError(

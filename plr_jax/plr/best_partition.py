@@ -1,4 +1,4 @@
-"""Find the partition by repeated halving that minimizes error plus a price per leaf, without very narrow boxes.
+"""Find the partition by repeated halving, without very narrow boxes, that minimizes error plus a price per leaf.
 
 Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The
 price falls, and more boxes are computed, until the best tree exceeds its limits. Then the lowest price within the
@@ -31,7 +31,7 @@ UNKNOWN, PRUNED = -1, -2  # in place of the index of a half: not computed yet, o
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes of one size (number of splits from the domain) that a search has computed, each once.
+    """The boxes of one level that a search has computed, each once; their halves are in the next level.
 
     Attributes:
         boxes: Boxes in the plane and their errors as leaves, such as ``ConeBoxes``.

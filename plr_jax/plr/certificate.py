@@ -121,7 +121,7 @@ def prove_bounds(
 ) -> LeafBounds:
     """Prove bounds of the distance minus each leaf's function, from the sources of the leaves' cells (``visible``).
 
-    ``sufficient`` maps each leaf's smallest and largest attained error to bounds that need not be tightened further.
+    ``sufficient``, if given, maps each leaf's smallest and largest attained error to bounds that are tight enough.
     Rounding in double precision is far below the ``slack`` of the sources, which the bounds include.
     """
     num_leaves = visible.num_cells
@@ -332,8 +332,8 @@ class Certificate:
     ) -> "Certificate":
         """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
 
-        Leaf classes of ``before`` are used again if all bounds and ``num_bytes`` permit and the largest bound hardly
-        changed. Otherwise new classes have a small mean width, weighted by ``volume``.
+        Classes (pairs of bounds that leaves share) of ``before`` are used again if all bounds and bytes fit and the
+        largest bound hardly changed. Otherwise new classes have a small mean width, weighted by ``volume``.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)

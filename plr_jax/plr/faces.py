@@ -63,7 +63,7 @@ ZERO = 1e-9
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return a matrix that expresses all values by the free ones (``is_free`` is 1), given one-step dependencies."""
+    """Express all values by the free ones (``is_free`` 1), given a matrix of direct, acyclic dependencies."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -244,7 +244,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return the ends ``leaf * 2**dim + corner`` of the edge that a split halved at each corner, and if one did."""
+    """Return the ends ``leaf * 2**dim + corner`` of the edge whose split made each corner, and whether one did."""
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

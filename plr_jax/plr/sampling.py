@@ -283,7 +283,7 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the domain as a cell; ``ValueError`` if no sample (or convex piece, if allowed) reaches the goal."""
+        """Sample the domain as a cell; ``ValueError`` if no sample (``pieces_suffice``: nothing) reaches the goal."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
@@ -296,7 +296,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Fit cells without reachable samples: tangent to the distance at the center of the largest convex free piece."""
+    """Give unsampled cells the tangent plane of the distance at the center of their largest free piece, if any."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit

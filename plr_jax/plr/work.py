@@ -117,7 +117,7 @@ _AT_ONCE = 1024  # points per task of a worker, independent of the number of wor
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function that an optional executor evaluates; an optional checkpoint keeps its answers."""
+    """A distance function, evaluated by the executor (None: by this process); a checkpoint may keep its answers."""
 
     distance_fn: DistanceFn
     executor: Executor | None

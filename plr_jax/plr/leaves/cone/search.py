@@ -102,7 +102,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
-    """Find each box's best cone, of at most 4, by the integral of its proven error (0 up to ``negligible``)."""
+    """Find each box's best cone, of at most 4 tried, by the integral of its proven error (0 if ``negligible``)."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -227,7 +227,7 @@ class SourceOptions:
 
 
 def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> SourceOptions:
-    """Find alternatives for leaf boxes, of at most 64 sources, that do not entirely see their best source."""
+    """Find alternative sources for leaf boxes that do not entirely see theirs; boxes of over 64 sources get none."""
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)

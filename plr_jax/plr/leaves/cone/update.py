@@ -122,7 +122,7 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find sources whose cones come as low as distances in a leaf may be; return leaves and sources."""
+        """Find pairs of a leaf and a source whose cone comes as low as distances in the leaf may be."""
         first = np.searchsorted(
             pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
         )  # first pair of each triangle
