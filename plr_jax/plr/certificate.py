@@ -48,7 +48,7 @@ Each piece has one cone, ``offset + |x - apex|``; its row identifies the leaf fu
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return lower and upper bounds of distance minus leaf function over convex pieces, up to ``visible.slack``."""
+    """Return lower and upper bounds of distance minus leaf function over convex pieces, before ``slack`` is added."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -245,7 +245,7 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
-    """Append the bounds of at most 16 classes, and the class of each leaf."""
+    """Append the codes of the bounds of at most 16 classes, and the class of each leaf."""
     _, first, class_of, size = np.unique(
         _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )

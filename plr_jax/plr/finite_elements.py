@@ -74,7 +74,7 @@ class NodalSpace:
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
     """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
 
-    ``ValueError`` if leaves hang on one another so often that the constraints would take too long to resolve.
+    ``ValueError`` if values of leaves depend on one another by so many weights that resolving these takes too long.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components

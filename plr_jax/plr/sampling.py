@@ -149,7 +149,7 @@ def least_squares(
         weight: Weight of each sample, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        The values at the cells' centers ``(cells,)`` and the half-differences ``(cells, dim)``.
+        The values at the cells' centers ``(cells,)``, and half of the rise across the cells by axis ``(cells, dim)``.
 
     References:
         Section III-A of the paper.
@@ -204,7 +204,7 @@ class CellFit(Rows):
         weight: The caller's weight of each sample; 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
-        half: Half-difference of the plane along each axis, ``(cells, dim)``.
+        half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
     """

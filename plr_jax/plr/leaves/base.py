@@ -141,7 +141,7 @@ class LeafModel(ABC):
         hi: Float[np.ndarray, "leaves dim"],
         coefficients: Float[np.ndarray, "leaves terms"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return a plane for each leaf: value at the center, and half-differences between opposite face centers."""
+        """Return a plane for each leaf: value at the center, and half of the rise between opposite face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)

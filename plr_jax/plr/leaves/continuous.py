@@ -189,7 +189,7 @@ class StoredValues:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append unreachable leaves, untied faces, and the values by level, each minus its prediction."""
+        """Append unreachable leaves, untied faces, and values by level, minus predictions from coarser values."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)

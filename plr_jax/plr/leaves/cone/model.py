@@ -123,7 +123,7 @@ class Cone(LeafModel):
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
     def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
-        """Return the coordinates of the source among the parameters of a leaf."""
+        """Return the coordinates of the source (the next corner, or the goal) among a leaf's parameters."""
         return parameters[1:]
 
 

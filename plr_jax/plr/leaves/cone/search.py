@@ -43,7 +43,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes and the best cone for each.
+    """Boxes, and the best cone ``distance of source + |x - source|`` for each.
 
     Attributes:
         negligible: Error up to which a box counts as exact.
@@ -343,8 +343,8 @@ def best_cones(
 ) -> list[ConeTree]:
     """Find the best leaves for each member (goal), and change their sources to visible ones.
 
-    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` have the order of viewpoints:
-    for one goal the goal first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
+    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` are corners and its goal: for
+    one goal the goal comes first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
@@ -472,6 +472,6 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) 
 
 
 def _corners_first(sources: Sources) -> Sources:
-    """Return sources in the order of a family's viewpoints, with the goal last."""
+    """Return sources in the order of a family's numbers: corners first, the goal last."""
     parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
     return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)

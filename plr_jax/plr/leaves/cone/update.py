@@ -48,7 +48,7 @@ Leaf = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """Leaves of cones with proven bounds of the distance minus each cone; ``slack`` is their uncertainty."""
+    """A tree of cone leaves, with proven bounds of distance minus cone; ``slack`` is the uncertainty of distances."""
 
     domain: Box
     tree: Tree
@@ -341,7 +341,7 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start the search from the change in each leaf (NaN if it does not hold) and its new source."""
+        """Start the search from each leaf's change of distances (NaN if they may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
