@@ -77,7 +77,7 @@ class BuildOptions:
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
         num_samples: Samples in each cell (center, inside and faces), at most 65,536. None: 192 for planes, 96 for
-            other leaves. At least ``dim + 1`` for planes, ``2**dim + 1`` for others; take several times as many.
+            others. At least ``dim + 1`` for planes and cones, ``2**dim + 1`` for others; take several times as many.
         margin: Distance by which samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin
             averages out the noise of an oracle such as a roadmap.
         weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
@@ -117,7 +117,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """The options as text that identifies them in a checkpoint, the same in every process."""
+        """Names of the rules, the number of samples and the margin: text that identifies them in a checkpoint."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -161,8 +161,8 @@ def construct(
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
             ``28 // dim``.
-        tolerance: Error, in units of distance, up to which a cell is not split: its largest error at samples, for
-            cones and certified planes its proven error.
+        tolerance: Error, in units of distance, up to which a cell is not split: by default its largest error at
+            samples, for cones and certified planes its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
             ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
             cells, such as ``VisibilityGraph``; see :func:`certify`.
@@ -176,7 +176,7 @@ def construct(
         - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). The
-          partition is globally optimal at a price per leaf. Needs a distance function in the plane that answers for
+          partition minimizes error plus a price per leaf. Needs a distance function in the plane that answers for
           whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. A distance function
@@ -235,7 +235,6 @@ def _build_leaves(
     seed: int,
     options: BuildOptions,
 ) -> DecodedFile:
-    """Build leaves of one model, with their proof if asked for."""
     # 1. Check the arguments.
     model.check_dim(domain.dim)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
@@ -290,7 +289,7 @@ def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> D
 
 
 def proof_of(certified: bool | str) -> Proof:
-    """Return the kind of proof that the argument ``certified`` asks for."""
+    """Return the kind of proof that the argument ``certified`` of :func:`construct` asks for."""
     if isinstance(certified, str) and certified == "leaves":
         return Proof.LEAVES
     if not isinstance(certified, bool | np.bool):
@@ -299,7 +298,6 @@ def proof_of(certified: bool | str) -> Proof:
 
 
 def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
-    """Return a warning if most free points do not reach the goal."""
     x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
     try:
         x = x[np.asarray(distance_fn.is_free(x))]
@@ -319,7 +317,7 @@ def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class _BoxOracle:
-    """An oracle that computes the sources of the grown domain once, for all leaf models to try."""
+    """An oracle that computes its sources (the goal, and corners where paths may turn) for ``box`` only once."""
 
     oracle: CellwiseFn
     box: Box
@@ -351,8 +349,8 @@ def build_best_model(
     """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
 
     A model for which ``build`` raises ``ValueError`` is skipped. Models are compared by their largest proven error,
-    without a proof by :func:`_sampled_error`. ``only_bytes`` tells that only ``max_bytes`` limits the size, and all
-    rules are defaults.
+    or without a proof by the error at random points. ``only_bytes`` tells that neither ``max_leaves`` nor
+    ``max_depth`` is given, and that ``weight_fn``, ``should_split`` and ``split`` are the defaults.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
@@ -399,8 +397,8 @@ def _models_to_try(
 ) -> list[str]:
     """Return the names of the leaf models to compare.
 
-    On all maps of the experiments, cones whose corners take at most ``_ROOMY`` of ``max_bytes`` had 10 to 1,000 times
-    smaller mean errors. Above ``_CROWDED``, a few cones could err far more than other leaves.
+    On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
+    took at most ``_ROOMY * max_bytes``. Above ``_CROWDED * max_bytes``, a few cones could err far more than others.
     """
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
     others = [name for name in leaf_names() if name not in cones]
@@ -429,15 +427,15 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR.
 
-    No point is sampled: the oracle tells, for whole cells, which sources some of their points use and which all of
-    their points see. The proof holds for all points of the domain that reach the goal, relative to this oracle: if
-    the oracle approximates, for example by an inflated workspace, that error is not included. Where two parts of free
-    space touch in a point, the cell there covers both, so the proven error is at least half of the jump between them.
+    No point is sampled: for whole cells, the oracle tells by which sources (corners, or the goal) shortest paths may
+    go, and which sources all points see. The proof holds for all points of the domain that reach the goal. An error
+    of the oracle itself, for example by an inflated workspace, is not included. Where two parts of free space touch
+    at a point, the cell there covers both, so the proven error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
         oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
-        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds of a few classes of leaves,
+        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that classes of leaves share,
             in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
 
     Returns:

@@ -50,8 +50,8 @@ def construct_many(
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*, whose cones are built
     together. Their errors are about as small as with :func:`construct`, but the PLRs differ: fewer partitions are
-    tried, and a cell larger than about eight average leaves becomes a leaf only if one source serves all of it. All
-    other PLRs are built one by one with :func:`construct`.
+    tried, and a cell larger than about eight average leaves becomes a leaf only if one source (the goal, or a corner
+    where paths turn) serves all of it. Other PLRs are built one by one with :func:`construct`.
 
     Args:
         oracles: The distance functions, of any kind.

@@ -1,4 +1,4 @@
-"""Prove error bounds of all leaves of a PLR, and update certified cones after a change of the map."""
+"""Prove error bounds of a PLR's leaves, and update PLRs of cone leaves with such proofs after the map changed."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +21,7 @@ _COARSEST = 1e-4
 
 
 def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``root`` has the oracle's sources for the grown domain."""
+    """Prove error bounds of all leaves; ``root``: the oracle's ``cell_sources`` of the slightly enlarged domain."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if root.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -59,7 +59,7 @@ def certificate_of_bounds(
     proof: Proof,
     before: Certificate | None = None,
 ) -> Certificate:
-    """Encode bounds of leaves, widened by the rounding of queries; reuse the classes of ``before`` if they fit."""
+    """Encode proven bounds of leaves, widened by rounding errors of queries, as :meth:`Certificate.of` explains."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
 
@@ -70,7 +70,7 @@ class BuildInputs:
 
     Attributes:
         bounds: Proven bounds of each leaf; None: use the bounds of the certificate.
-        node_costs: Costs of the nodes of the tree as leaves; None if unknown.
+        node_costs: Errors that each node of the tree would have as a leaf; None if unknown.
     """
 
     oracle: DistanceFn
@@ -97,7 +97,7 @@ def require_updatable(contents: DecodedFile) -> None:
 def updated_contents(
     contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
 ) -> tuple[DecodedFile, BuildInputs]:
-    """Return the leaves that :meth:`PLR.updated` stores, and the inputs of the next update."""
+    """Return the file contents of the PLR that :meth:`PLR.updated` returns, and the inputs of the next update."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
     assert certificate is not None and isinstance(model, Cone), "require_updatable has checked this"
     if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):

@@ -1,4 +1,4 @@
-"""Find the dyadic partition that minimizes error plus a price per leaf, among all dyadic partitions.
+"""Find the partition by repeated halving, without very narrow boxes, that minimizes error plus a price per leaf.
 
 Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The
 price falls, and more boxes are computed, until the best tree exceeds its limits. Then the lowest price within the
@@ -26,15 +26,15 @@ MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its short
 # Weight of a box's largest error beside the integral of its error, in units of an average leaf's volume.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
 BOXES_PER_BATCH = 1 << 14
-UNKNOWN, PRUNED = -1, -2  # in place of the index of a half
+UNKNOWN, PRUNED = -1, -2  # in place of the index of a half: not computed yet, or excluded to save time
 
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The distinct boxes with the same number of splits that were computed.
+    """The boxes of one level that a search has computed, each once; their halves are in the next level.
 
     Attributes:
-        boxes: Plane boxes, such as ``ConeBoxes``: ``cells``, ``error``, ``integral``, ``append`` and ``new_halves``.
+        boxes: Boxes in the plane and their errors as leaves, such as ``ConeBoxes``.
         key: A key that identifies each box.
         child: Index of each box's halves in the next level, by axis, half and box; ``UNKNOWN`` or ``PRUNED`` if none.
     """
@@ -48,7 +48,7 @@ class BoxLevel:
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
-        """Return each box's cost as a leaf: its integral plus ``least_share`` times its largest error."""
+        """Return each box's cost as a leaf: integral of the error plus ``least_share`` times the largest error."""
         return self.boxes.integral + least_share * self.boxes.error
 
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
@@ -67,7 +67,7 @@ def expand(
 ) -> None:
     """Compute the halves of all boxes that cost more than a price, level by level, and add them to ``levels``.
 
-    ``price`` has a price for each box of the first level, which smaller boxes inherit; ``inf`` excludes a box. Halves
+    ``price`` has a price for each box of the first level, which its halves inherit; ``inf`` excludes a box. Halves
     are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors have the weight
     ``least_share`` in costs, and ``share`` in that comparison.
     """
@@ -103,7 +103,6 @@ def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
 def _add_halves(
     levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"]
 ) -> None:
-    """Add both halves of boxes along the given axes, equal halves once."""
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
@@ -134,7 +133,7 @@ _HIGH = 1e300  # a price at which no box is halved that may be a leaf
 _LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that ties go to the smaller tree
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""For each level, from the first, the boxes that are leaves."""
+"""For each level, from the first on, the indices of the boxes that are leaves of a tree."""
 
 
 class SearchPruning(NamedTuple):
@@ -143,9 +142,9 @@ class SearchPruning(NamedTuple):
     Attributes:
         margin: See :func:`expand`; ``inf`` keeps the search exact.
         attempts: Largest number of prices to try between a tree that fits and one that does not.
-        full: Share of the limits at which a tree is large enough.
-        keeps_split_order: Whether files store the tree as split; else in the slower canonical form of
-            :func:`tree_of`.
+        full: Used share of the limits from which on a tree is large enough.
+        keeps_split_order: Whether files store the tree as the search split it; else in the canonical form of
+            :func:`tree_of`, which takes longer.
     """
 
     margin: float = np.inf
@@ -159,11 +158,12 @@ EXACT = SearchPruning()
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """A member's best tree at a price per leaf; its nodes and leaves are level by level.
+    """The best tree for one member (goal) at a price per leaf; nodes and leaves are level by level.
 
     Attributes:
         axes: Split axis of each node; -1 for a leaf.
         order: Permutation of the leaves into the order of the tree's traversal.
+        is_final: Whether the search for a larger tree is over.
     """
 
     leaves: Leaves
@@ -179,7 +179,7 @@ class PricedTree:
 
 @dataclass(frozen=True, eq=False)
 class Forest:
-    """A forest with one tree for each member; its length is the number of leaves."""
+    """A forest with one tree for each member (goal); its length is the number of leaves of all trees."""
 
     trees: list[PricedTree]
 
@@ -188,17 +188,17 @@ class Forest:
 
 
 class MemberBoxes(NamedTuple):
-    """The boxes of one level that a member uses; halves are indices into its own boxes of the next level."""
+    """Boxes of one level that a goal's tree may contain; ``child`` has indices into such boxes of the next level."""
 
     box: Int[np.ndarray, "own"]
     child: Int[np.ndarray, "2 2 own"]
 
 
 class PriceSearch:
-    """The search for the largest best trees of members within the limits of each.
+    """A search for the largest optimal tree of each member (goal) whose file is within the limits.
 
-    Members start at the boxes ``roots`` of the first level. ``size`` returns the bytes of a member's file with a
-    tree. ``num_sources``, the number of sources that leaves may use, improves the first price.
+    The tree of member ``i`` starts at box ``roots[i]`` of the first level; ``size(i, tree)`` returns the bytes of its
+    file. ``num_sources``, the number of points where leaves may put a cone's apex, improves the first price.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class PriceSearch:
         self._own: list[list[MemberBoxes]] = [[]] * len(roots)
 
     def first(self) -> Forest:
-        """Return the smallest trees; ``BudgetTooSmall`` if one of them exceeds the byte budget."""
+        """Return the smallest tree of each member; ``BudgetTooSmall`` if a tree exceeds the byte budget."""
         trees = []
         for member in range(len(self._roots)):
             self._select_boxes(member, _HIGH, 1.0)
@@ -231,7 +231,7 @@ class PriceSearch:
         return Forest(trees)
 
     def next(self, now: Forest) -> Forest | None:
-        """Compute more boxes and return larger trees; None if all searches are over."""
+        """Compute more boxes and return the next, usually larger trees; None if all searches are over."""
         trees = list(now.trees)
         aims = {i: self._next_price(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
         if not aims:
@@ -279,7 +279,7 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
-        """Search for the largest tree that fits, at prices between one that fits and one that does not."""
+        """Return the largest tree found within the limits, at prices between those of ``fits`` and ``beyond``."""
         largest = fits
         for attempt in range(self._pruning.attempts):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -296,7 +296,10 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, member: int, price: float, least_share: float) -> bool:
-        """Select the boxes that a member uses at a price, and return whether all relevant boxes are known."""
+        """Select the boxes that a member's root gives if all boxes that cost more than ``price`` are halved.
+
+        Return whether no other selected box of a cost above 0 may be halved, so that no lower price selects more.
+        """
         here, own, is_all = self._roots[member : member + 1], [], True
         for depth, level in enumerate(self.levels):
             if not len(here):
@@ -320,7 +323,7 @@ class PriceSearch:
         return is_all
 
     def _best_tree(self, member: int, price: float, least_share: float) -> PricedTree:
-        """Return the tree of least total cost, at a price per leaf, for one member."""
+        """Return the tree of least total cost, with a price per leaf, among the boxes selected for a member."""
         own = self._own[member]
         axes = best_axes(self.levels, own, price, least_share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
@@ -340,7 +343,7 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[MemberBoxes], price: float, least_share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Return the best split axis of each box, -1 for a leaf, by dynamic programming from the smallest boxes up."""
+    """Return each box's best split axis (-1: leaf), level by level, by dynamic programming from the smallest up."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(least_share)[box] + price, np.full(len(box), -1)

@@ -12,12 +12,12 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree, grown_domain
 
 _Key: TypeAlias = tuple[int, ...]
-_POINTS_AT_ONCE = 1 << 16  # pairs of a piece and a point that are tested at once
+_POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point that are tested at once
 _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source
 
 
 class CellMemory:
-    """A cache of the sources of a growing partition's cells, in the plane."""
+    """A cache of the sources (the goal, or corners where paths may turn) of a growing partition's cells."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
@@ -63,7 +63,7 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield a tree's nodes level by level with the sources of their cells, given the root's sources."""
+    """Yield the nodes of each level of a tree, and the sources of their cells, from the root's sources (``root``)."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible
@@ -75,7 +75,7 @@ def sources_by_level(
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-    """Return exact distances at points of cells; ``inf`` where a point is not free or cannot reach the goal."""
+    """Return exact distances at points of cells; ``inf`` if a point is not free or cannot reach the goal."""
     found = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
     held = [np.zeros((2, 0), int)]

@@ -1,17 +1,17 @@
 """Certificates: proven bounds of the distance minus the function that each leaf stores, and their file format.
 
-Bounds come from branch and bound. The bounds of a piece of a leaf hold for all of it, and the error at its center is
-attained. Pieces whose bounds are close to attained errors are finished; the others are halved, which tightens bounds
-and finds larger errors. Where only a bound of the distance at a center is known, bounds may be less tight.
+Bounds come from branch and bound over convex pieces of the leaves' free space. Bounds of a piece hold for all of it,
+and the error at its center is attained. Pieces whose bounds are close to attained errors are finished; the others are
+halved, which tightens bounds. Where only a bound of the distance at a center is known, bounds may be less tight.
 
 A file stores a certificate as bits, after the leaves:
 
-    largest error, a 32-bit float; negative if classes, or a straight line, follow
+    largest error, a 32-bit float; negative if classes, or a straight-line bound, follow
     classes: number of classes less one, 4 bits; codes of their lower, then of their upper bounds, 8 bits each;
-      for every class but the last, in order of size: the set of leaves, of those not in an earlier class, that are
-      not in this class (sets as in ``coding.py``)
+      for every class but the last, the largest class first: which of the leaves that are in no earlier class are
+      not in this class either (a set as in ``coding.py``)
     bounds of every leaf: codes of all lower, then of all upper bounds, 8 bits each
-    if open leaves have a negative largest error: the straight-line bound (``Certificate.straight``), 32-bit floats
+    if the proof is OPEN_LEAVES and the largest error is negative: ``Certificate.straight``, 32-bit floats
 
 A bound is ``scale * 2**((code - 255) / 12)``, below or above the leaf's value: one code more is 6 % more, and the
 smallest bound is 4e-7 of the largest. All bounds are rounded away from zero.
@@ -33,21 +33,22 @@ from plr_jax.plr.frame import LARGEST
 
 # Bounds over a piece of a leaf, a convex part of its free space.
 #
-# The distance is at most the cone of a source that all of the piece sees, and at least the smallest cone of all
+# The cone of a source (the goal, or a corner where paths turn) is its distance to the goal plus the straight distance
+# to it. The distance is at most the cone of a source that all of the piece sees, and at least the least cone of all
 # sources that some of its points may use. If no source is seen by all of the piece, the upper bound is the distance
 # of the piece's center plus the straight path to it, which is free.
 
 ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""Function from pieces, apexes, offsets and rows to the smallest and largest value of cone minus leaf function.
+"""Function from convex pieces, apexes, offsets and rows to bounds of cone minus leaf function over each piece.
 
-Each piece has one cone; its row is the index of its leaf.
+Each piece has one cone, ``offset + |x - apex|``; its row identifies the leaf function.
 """
 
 
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Bound the distance minus a leaf's function over each given piece, up to the sources' ``slack``."""
+    """Return lower and upper bounds of distance minus leaf function over convex pieces, before ``slack`` is added."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -75,7 +76,7 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        """Return a function that bounds cones minus functions; row ``i`` stands for ``leaf[i]``."""
+        """Return a function that bounds cones minus leaf functions; its rows are indices into ``leaf``."""
 
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
@@ -95,8 +96,8 @@ class LeafFunctions:
 
 # Rounds of halving, and pieces in a round. Beyond these limits bounds are valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, but at least
-# and at most by these shares of the largest error of all leaves.
+# Bounds are tight enough if they exceed attained errors by at most this share of the range of a leaf's errors,
+# clipped to these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
 LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3
 
@@ -118,10 +119,10 @@ def prove_bounds(
     visible: CellSources,
     sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
 ) -> LeafBounds:
-    """Prove bounds for all leaves, from the sources of their cells.
+    """Prove bounds of the distance minus each leaf's function, from the sources of the leaves' cells (``visible``).
 
-    ``sufficient`` maps attained errors to bounds that need not be tightened further; None: bounds close to these
-    errors. Double precision rounds far less than the ``slack`` of the sources, which the bounds include.
+    ``sufficient``, if given, maps each leaf's smallest and largest attained error to bounds that are tight enough.
+    Rounding in double precision is far below the ``slack`` of the sources, which the bounds include.
     """
     num_leaves = visible.num_cells
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -156,7 +157,7 @@ def prove_bounds(
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Halve pieces across their longest side; both halves become cells."""
+    """Halve convex pieces across their longer side; the halves become cells ``2 * i`` and ``2 * i + 1``."""
     alone = visible.pieces_as_cells(piece)
     lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
     each = np.arange(len(piece))
@@ -183,10 +184,10 @@ def classify_bounds(
     volume: Float[np.ndarray, "leaves"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"]:
-    """Replace the codes of leaves by codes of classes: the smallest mean width of bounds that fits into ``max_bits``.
+    """Group leaves into classes with common bounds of small mean width; return each leaf's new codes.
 
     A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
-    a bit; the price falls until the classes no longer fit. ``code_factor`` maps codes to multiples of the scale.
+    a bit; the price falls until ``max_bits`` is exceeded. ``code_factor`` maps codes to multiples of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -228,7 +229,7 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Return codes of the narrowest given class that contains each leaf; None if none does or they do not fit."""
+    """Return codes of the narrowest of ``classes`` around each leaf's bounds; None if there is none or no room."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -244,7 +245,7 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
-    """Append the bounds of at most 16 classes, and the class of each leaf."""
+    """Append the codes of the bounds of at most 16 classes, and the class of each leaf."""
     _, first, class_of, size = np.unique(
         _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )
@@ -261,13 +262,12 @@ def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarr
 
 
 def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
-    """Combine the lower and upper code of each leaf into one sortable integer."""
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """Read what :func:`write_classes` appended; ``ValueError`` describes damaged data."""
+    """Read each leaf's codes, as :func:`write_classes` appended them; ``ValueError`` describes damaged data."""
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -289,13 +289,13 @@ class Proof(IntEnum):
 
     NONE = 0
     CLASSES = 1
-    """Bounds of classes of leaves, or only the largest error if there is no room for classes."""
+    """Bounds that classes of leaves share, or only the largest error if there is no room for classes."""
     LEAVES = 2
     OPEN_LEAVES = 3
     """Bounds of every leaf; the largest upper code means that there is no upper bound."""
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the largest number of bits of this proof, if the leaves take ``num_bytes``."""
+        """Return the most bits of this proof, without a straight-line bound, if the leaves take ``num_bytes``."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
@@ -309,11 +309,11 @@ class Certificate:
     """Proven bounds of the distance minus the values of a PLR.
 
     Attributes:
-        scale: The largest bound, exact in 32 bits, in which codes are expressed.
+        scale: At least the largest finite bound, exact in 32 bits; codes stand for fractions of it.
         codes: Codes of lower and upper bounds; None if only the scale is stored.
-        straight: A lower bound by the straight line to the goal, nowhere above the answer: ``rate`` times its length,
-            less a margin for rounding. Holds the goal, relative to the lower corner of the domain, the rate and the
-            margin, as 32-bit floats. None if there is no such bound. Only for open leaves.
+        proof: Kind of proof.
+        straight: Lower bound ``rate * |x - goal| - margin``, capped at the PLR's own answer: the goal relative to the
+            lower corner of the domain, rate and margin, as 32-bit floats. None without; only for ``OPEN_LEAVES``.
     """
 
     scale: float
@@ -332,8 +332,8 @@ class Certificate:
     ) -> "Certificate":
         """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
 
-        The classes of ``before`` are used again if all bounds fit into them. Otherwise new classes minimize the mean
-        width, weighted by ``volume``.
+        Classes (pairs of bounds that leaves share) of ``before`` are used again if all bounds and bytes fit and the
+        largest bound hardly changed. Otherwise new classes have a small mean width, weighted by ``volume``.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -356,11 +356,11 @@ class Certificate:
 
     @property
     def max_error(self) -> float:
-        """The largest error anywhere; ``inf`` if a leaf has no upper bound."""
+        """The largest proven error of all leaves; ``inf`` if a leaf has no upper bound."""
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return the offsets from values to lower and upper bounds, exact in 32 bits, for each leaf or for all."""
+        """Return offsets from values to lower and upper bounds, exact in 32 bits; one column if leaves share them."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -406,7 +406,7 @@ class Certificate:
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
-    """Read what :meth:`Certificate.write` appended; ``ValueError`` describes damaged data."""
+    """Read a certificate (None without a proof); ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
     scale, codes, straight = float(body.read_floats(1)[0]), None, None
@@ -424,13 +424,12 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    """Return the bounds of codes, rounded up to 32-bit floats."""
+    """Return the sizes of bounds that codes stand for, rounded up to 32-bit floats."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
 def _encode_bounds(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
-    """Return the smallest codes whose bounds are not below the given ones."""
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function of pairs, side, half, axes: which pairs to keep after a side's nodes became their lower or upper half."""
+"""Function of node pairs, side, half, axes: which pairs to keep after halves replaced the nodes of one side."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves by descending two trees at once; the larger node of a pair gives way to its halves.
 
-    ``pairs`` has nodes of ``a``, nodes of ``b``, and rows that halves inherit. In the result, leaves have their index
-    in their tree's order.
+    ``pairs`` has nodes of ``a``, nodes of ``b``, and maybe further rows, which pairs of halves inherit. The result
+    has the same rows, with the index of each leaf in its tree's order.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -63,7 +63,7 @@ ZERO = 1e-9
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Express every value by free values only, from a matrix of one-step dependencies without cycles."""
+    """Express all values by the free ones (``is_free`` 1), given a matrix of direct, acyclic dependencies."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -74,7 +74,10 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a matrix for which all rows vanish: each row expresses the finest group in it by other groups."""
+    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any values of the groups.
+
+    Each row is solved for the group in it of the highest ``level``. ``ValueError`` beyond ``most`` weights.
+    """
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # eliminated group -> combination of others
@@ -106,7 +109,6 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], m
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
-    """Add a multiple of ``other`` to a sparse row, and return the number of its weights."""
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > ZERO:
@@ -133,7 +135,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
-    """Return, for each unreachable leaf, the first reachable leaf of largest contact; -1 if it touches none."""
+    """Return, for each unreachable leaf, the first reachable leaf that it touches most; -1 if it touches none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -173,7 +175,7 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return the size of the contact of pairs of cells, as a share of the domain; 0 where they do not touch."""
+    """Return a measure of each pair's contact: larger for faces than for edges or corners, 0 without contact."""
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -194,7 +196,7 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Shared parts of faces of two leaves, one below and one above it along ``axis``.
+    """Shared parts of the faces of two leaves: ``lower`` is below and ``upper`` above the face along ``axis``.
 
     At the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans a periodic axis
     shares a face with itself.
@@ -242,7 +244,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return, for each leaf corner, the ends of the edge that a split halved there, and whether one did."""
+    """Return the ends ``leaf * 2**dim + corner`` of the edge whose split made each corner, and whether one did."""
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

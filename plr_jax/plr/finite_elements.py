@@ -1,8 +1,8 @@
 """Finite-element spaces of continuous functions on the leaves of a partition.
 
 A function is a polynomial in each leaf: multilinear (order 0), or cubic along every axis with a continuous gradient
-(order 1). Leaves that share a free face must agree on it. This module finds the free degrees of freedom of such
-functions and builds the sparse matrices that map them to the coefficients of every leaf.
+(order 1). Leaves that share a free face must agree on it: they are *tied*. This module finds the free degrees of
+freedom of such functions and builds the sparse matrices that map them to the coefficients of every leaf.
 
 Every corner of every leaf is a *node*. Two leaves with a free face between them must agree at the corners of the
 shared part of that face:
@@ -10,9 +10,9 @@ shared part of that face:
 - A point that is a corner of both leaves: their nodes form one *group*, with one value.
 - A corner of only one leaf *hangs* on the other leaf: its value is the other leaf's interpolation there.
 
-The point of a hanging corner has larger denominators (sum of the exponents of two over the axes) than the corners
-from which it is interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied: a
-point in a wall has several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
+The point of a hanging corner lies on a finer dyadic level (``NodalSpace.level``) than the corners from which it is
+interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied: a point in a wall has
+several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
 """
 
 import math
@@ -44,10 +44,10 @@ _GROWTH = 4
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the continuous functions on a tied partition.
+    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree.
 
     Attributes:
-        group: Group of each node; node ``leaf * 2**dim + corner`` is a corner of ``leaf``.
+        group: Group (nodes that share a value) of each node; node ``leaf * 2**dim + corner`` is a corner of ``leaf``.
         hanging: Groups whose value is interpolated from a larger leaf.
         host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
         free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
@@ -74,7 +74,7 @@ class NodalSpace:
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
     """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
 
-    ``ValueError`` if leaves hang on one another so often that the constraints would take too long to resolve.
+    ``ValueError`` if values of leaves depend on one another by so many weights that resolving these takes too long.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
@@ -116,7 +116,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     level = np.zeros(num_groups, np.int64)
     level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
     # 5. In 3 or more dimensions a corner may hang on two leaves whose interpolations differ there. Each such pair of
-    # values gives an equation; every equation eliminates the finest group in it.
+    # values gives an equation; every equation eliminates the group of the highest level in it.
     if dim > 2:
         row = np.flatnonzero(~is_shared)
         check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
@@ -155,7 +155,7 @@ def _interpolation(
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
-    """Return a matrix from group values to multilinear interpolants at points ``t`` of leaves, in given rows."""
+    """Return a matrix from group values to multilinear interpolants at points ``t`` of leaves, in rows ``row``."""
     from scipy.sparse import csr_array
 
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
@@ -202,7 +202,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
 def plane_coefficients(
     order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return coefficients of leaves that hold planes, given by center values and half-differences."""
+    """Return coefficients that represent planes, given by center values and half of the rise along each axis."""
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:
@@ -215,7 +215,7 @@ def plane_coefficients(
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
-    """Return each basis function's coefficients by powers of ``t``, with the last axis varying fastest."""
+    """Return each basis function's coefficients of the monomials in ``t``; powers of the last axis vary fastest."""
     along = _BASIS_1D[order]
     table = np.ones((1, 1, 1))
     for _ in range(dim):
@@ -231,7 +231,7 @@ def enclosing_planes(
     center: Float[np.ndarray, "n 2"],
     reach: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Return planes near the polynomials of leaves over boxes, and bounds of the difference.
+    """Return planes near the polynomials of leaves over boxes, and bounds of the differences.
 
     Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. A plane
     has the polynomial's value and gradient at the center, the first two results. The third bounds its distance from
@@ -248,7 +248,7 @@ def enclosing_planes(
 
 
 def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
-    """Expand the powers of ``t`` into powers of ``t - center``."""
+    """Return the coefficients of powers of ``t - center`` that express each power of ``t``."""
     power, of_difference = np.arange(count)[:, None], np.arange(count)
     ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)

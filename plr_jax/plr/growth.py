@@ -30,7 +30,7 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for one leaf, which takes ``num_bytes``."""
+    """An error: a byte budget is too small even for the smallest tree, whose file takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int, what: str = "one leaf"):
         super().__init__(max_bytes, num_bytes, what)  # all arguments, for pickling
@@ -62,7 +62,7 @@ class Limits:
     frame_bytes: int
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Return the bytes of a file whose leaves take ``num_bits`` bits, proof included."""
+        """Return the largest size, in bytes, of a file whose leaves take ``num_bits`` bits, including its proof."""
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
@@ -106,7 +106,7 @@ class Nodes(Rows):
     """The nodes of a growing tree, parents before children; the length is the number of leaves.
 
     Attributes:
-        error: Mean error over a node's reachable samples.
+        error: Mean absolute error over those samples in the node's cell that reach the goal.
         share: Share of the domain's volume that these samples represent.
         key: Sort key of the split: its priority, capped by the parent's key; ``-inf`` if the node may not be split.
         child: Index of the lower child, followed by the upper one; -1 for a leaf.
@@ -132,7 +132,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Return the nodes that are or may be split, in a priority queue's order; every prefix of it is a tree."""
+    """Return the nodes that are or may be split, in a priority queue's order; splitting any prefix gives a tree."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -145,7 +145,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make nodes of fitted cells; ``bound`` has their parents' keys, the rules gave ``priority`` and ``axis``."""
+    """Make nodes of fitted cells, with the rules' ``priority`` and ``axis``; ``bound`` has the parents' keys."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -197,7 +197,7 @@ MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's largest weighted error ``abs(L - V)`` over its samples: best-first refinement.
+    """Return each cell's largest weighted absolute error over its samples, so that the worst leaf is split first.
 
     Returns:
         A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
@@ -206,7 +206,7 @@ def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's weighted error at its center, the rule of Section III-B of the paper.
+    """Return each cell's weighted error at its center if that reaches the goal, as in Section III-B of the paper.
 
     If the center cannot be reached, the cell's largest sample error counts instead, so that an obstacle in the middle
     does not hide a bad fit around it.
@@ -231,14 +231,14 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """Return the axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Returns:
-        An axis for each cell. Axes whose halves would be more than 8 times narrower than along another axis are
-        excluded.
+        An axis for each cell; not one that is at its depth limit, or along which the halves would be less than 1/8
+        as long as along another axis, in fractions of the domain.
     """
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return the axis of least cost among those along which a cell may be halved without getting too narrow."""
+    """Return each cell's axis of least cost along which halves are neither too narrow nor too deep; 0 if none is."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -278,15 +278,15 @@ _SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
 
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
-"""Function from cells and their parents' keys to nodes: COMPUTECOEFFICIENTS and the split rules, for one round."""
+"""Function from cells and their parents' keys to nodes: it samples, fits, and applies the split rules."""
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """A storage format of independent leaves: the bits to choose from, the size of the file, the rounding error.
+    """A file format of independently fitted leaves: possible numbers of bits, file size and rounding error.
 
-    ``size`` and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among them, and
-    bits.
+    ``size`` (in bytes) and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among
+    them, and the number of bits per center value.
     """
 
     choices: Sequence[int]
@@ -295,7 +295,7 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits the cells of a round, densely where few samples reach the goal."""
+    """Return a function that samples and fits cells, more densely those in which few samples reach the goal."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -319,7 +319,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Int[np.ndarray, "leaves"], int]:
-    """Grow a tree to its limits; return all nodes, the indices of its leaves, and the bits to store them with."""
+    """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits per stored center."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
         # Split the better half of the leaves that would be split if no better ones came up. Near the end split all of
@@ -348,13 +348,15 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
-    """Choose the leaves of the best tree within the limits, and the number of bits to store them with."""
+    """Choose the leaves, and the bits per stored center value, of least expected error within the limits.
+
+    For each number of bits, only the longest prefix of the split order that fits is considered.
+    """
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the longest prefix of the split order that fits; none if not even the root fits."""
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
         enough = bisect_right(
@@ -365,7 +367,7 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
         return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
     def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-        """Return the mean error over reachable points; errors of fit and rounding are independent."""
+        # as if errors of fit and rounding were independent
         return np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)) if len(leaf) else np.inf
 
     within = [(most_leaves(bits), bits) for bits in encoding.choices]

@@ -23,7 +23,7 @@ _FACE_WEIGHT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A sample pattern for all cells: local coordinates, in which ``[-1, 1]`` spans a cell, and fit weights."""
+    """A sample pattern for all cells: local coordinates ``u``, in which ``[-1, 1]`` spans a cell, and fit weights."""
 
     u: Float[np.ndarray, "k dim"]
     weight: Float[np.ndarray, "k"]
@@ -42,19 +42,19 @@ class Pattern:
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """The matrix from the values at all samples to the least-squares plane."""
+        """The matrix from the values at all samples to the least-squares plane, ``[center half]``."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """The designs, for each axis, of separate planes in the lower and upper half of a cell, side by side."""
+        """For each axis, the design matrix of two planes, in the lower and the upper half of a cell, side by side."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """An orthonormal basis, for each axis, of the functions that are a plane in each half of a cell.
+        """For each axis, an orthonormal basis of the functions that are a plane in each half, times the weights.
 
         ``np.square(values @ basis).sum()`` is the part of the weighted sum of squared values that two planes explain.
         """
@@ -68,7 +68,7 @@ class Pattern:
 
 @lru_cache(maxsize=8)
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
-    """Make a pattern of at least ``dim + 1`` samples: center, Sobol points inside, corners if few, and faces.
+    """Make a pattern of samples in a cell: its center, Sobol points inside and on faces, and its corners if few.
 
     A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the corners where a
     distance deviates most from its plane; their small weight hardly shapes the fit. A margin scales all coordinates.
@@ -92,7 +92,7 @@ _SOBOL_BITS = 30
 
 
 def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    """Return a Sobol sequence in ``[-1, 1]``, scrambled as by ``scipy.stats.qmc.Sobol``, to the bit.
+    """Return a scrambled Sobol sequence in ``[-1, 1]``, bit for bit as from ``scipy.stats.qmc.Sobol``.
 
     References:
         Matousek, "On the L2-discrepancy for anchored boxes", 1998, for the scrambling.
@@ -149,7 +149,7 @@ def least_squares(
         weight: Weight of each sample, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        The values at the cells' centers ``(cells,)`` and the half-differences ``(cells, dim)``.
+        The values at the cells' centers ``(cells,)``, and half of the rise across the cells by axis ``(cells, dim)``.
 
     References:
         Section III-A of the paper.
@@ -187,7 +187,7 @@ def solve_planes(
     return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
-_FEW_A_TERM = 2  # reachable samples per coefficient of a plane: no more hide errors
+_FEW_A_TERM = 2  # up to this many reachable samples per coefficient, a plane may fit by chance
 
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
@@ -204,7 +204,7 @@ class CellFit(Rows):
         weight: The caller's weight of each sample; 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
-        half: Half-difference of the plane along each axis, ``(cells, dim)``.
+        half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
     """
@@ -229,7 +229,7 @@ class CellFit(Rows):
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Whether so few samples of a cell reach the goal that any plane fits them, and residuals hide its error."""
+        """Whether so few samples of a cell reach the goal that a plane may fit by chance, and hide its error."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
@@ -239,13 +239,13 @@ class CellFit(Rows):
 
     @property
     def noise(self) -> Float[np.ndarray, "cells"]:
-        """Errors that a split cannot reduce: the resolution of 32-bit floats, weighted like errors."""
+        """Error of each cell that splits cannot reduce: the resolution of 32-bit floats, weighted like errors."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A sampler of cells; the dense pattern is for cells in which few samples reach the goal."""
+    """A function that samples and fits cells; the dense pattern is for cells in which few samples reach the goal."""
 
     distance_fn: DistanceFn
     domain: Box
@@ -283,7 +283,7 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the domain as one cell; ``ValueError`` if no sample (or free piece, if allowed) reaches the goal."""
+        """Sample the domain as a cell; ``ValueError`` if no sample (``pieces_suffice``: nothing) reaches the goal."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
@@ -296,7 +296,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give cells with free pieces but no reachable sample a plane: the tangent at their largest piece's center."""
+    """Give unsampled cells the tangent plane of the distance at the center of their largest free piece, if any."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit
@@ -340,7 +340,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
 def weights_of_fit(
     reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells k"]:
-    """Return the given weights, replaced by ``reachable`` in cells whose weights are all zero."""
+    """Return the given weights; in cells whose weights are all zero, 1 for each sample that reaches the goal."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
@@ -355,7 +355,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return error weights at folded points: the largest weight of all points that fold there; 0 if none do."""
+    """Return error weights at folded points: the largest weight of all points that mirrors map there; 0 if none."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

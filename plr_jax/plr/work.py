@@ -1,7 +1,7 @@
 """Long computations: parallel workers, and checkpoint files that keep finished results.
 
 A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When it is
-opened again, a record that was cut short is dropped.
+opened again, the first incomplete or damaged record and all later ones are dropped.
 """
 
 import os
@@ -35,7 +35,7 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 class Checkpoint:
     """A checkpoint file, opened or created; ``records`` has the finished results by key.
 
-    ``ValueError`` if the file's head is not that of a checkpoint with this ``digest``.
+    ``ValueError`` if the file exists and is no checkpoint of the computation with this ``digest``.
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
@@ -68,7 +68,6 @@ class Checkpoint:
         write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
-        """Write after the last whole record, and flush to disk."""
         with open(self._path, "r+b" if self._path.exists() else "xb") as file:
             file.seek(self._end)
             file.write(data)
@@ -78,7 +77,6 @@ class Checkpoint:
         self._end += len(data)
 
     def _read(self, data: bytes) -> int:
-        """Read all whole records, and return the offset where they end."""
         end = len(self._head)
         while end + _RECORD.size <= len(data):
             key, size, checksum = _RECORD.unpack_from(data, end)
@@ -98,8 +96,8 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
     """Return a digest that identifies a computation: release, domain, options, and distances at test points.
 
-    Members of a family add the distances of their sources, and only the first one is evaluated at test points.
-    Distances count as 32-bit floats, since other machines may round differently.
+    Oracles of one family (:class:`FamilyFn`) share one evaluation at test points; each adds its sources (the goal and
+    corners where paths may turn). Numbers count as 32-bit floats, since other machines may round differently.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
@@ -119,7 +117,7 @@ _AT_ONCE = 1024  # points per task of a worker, independent of the number of wor
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function evaluated by an optional executor, with an optional checkpoint of its answers."""
+    """A distance function, evaluated by the executor (None: by this process); a checkpoint may keep its answers."""
 
     distance_fn: DistanceFn
     executor: Executor | None
@@ -155,11 +153,11 @@ class ParallelOracle:
 
 
 Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
-"""Indices of some parts, and a function that returns the bytes of each; it may run in another process."""
+"""Indices of some parts (such as PLRs), and a function that computes the bytes of each."""
 
 
 class BuildResults:
-    """The results of all parts of a computation, as bytes; None for missing parts."""
+    """The results of all parts of a computation, such as many PLRs, as bytes; None for missing parts."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
@@ -172,8 +170,8 @@ class BuildResults:
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
         """Compute chunks of parts with the executor, and with threads of this process if it is None or a worker dies.
 
-        After an interrupt (Ctrl-C), finished parts are in ``results``. Once all parts are finished, the checkpoint is
-        sorted.
+        After an interrupt (Ctrl-C), finished parts are in ``results``. Once all parts are finished, the checkpoint's
+        records are sorted, so that the file does not depend on the order of the work.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:

@@ -1,7 +1,4 @@
-"""Leaf models: the kinds of functions that leaves can hold, with their names and codes in files.
-
-Other rooms import cones and continuous leaves from here.
-"""
+"""Leaf models: the kinds of functions that leaves can hold, with their names and codes in files."""
 
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
@@ -28,7 +25,7 @@ def leaf_names() -> list[str]:
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
-    """Return the leaf model of a name; ``ValueError`` if there is none."""
+    """Return the leaf model of a name, or a given model itself; ``ValueError`` for anything else."""
     models = {model.name: model for model in _MODELS}
     if isinstance(leaf, str) and leaf in models:
         return models[leaf]

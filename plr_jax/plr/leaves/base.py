@@ -65,7 +65,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
-        """Return the coefficients of every leaf: ``inf``, then zeros, if nothing in it reaches the goal."""
+        """Return each leaf's coefficients: ``inf``, then zeros, if it is stored as one that cannot reach the goal."""
         ...
 
     @abstractmethod
@@ -76,7 +76,7 @@ class LeafModel(ABC):
         coefficients: Float[np.ndarray, "n terms"],
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
-        """Return values at points, one for each leaf; coefficients are finite."""
+        """Return the value of each leaf's function at one point, for finite coefficients."""
         ...
 
     @abstractmethod
@@ -91,7 +91,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """Return the value at one place; the order of operations is part of the format (see ``plr/portable``).
+        """Return a leaf's value at a place; the order of operations is part of the format (see ``plr/portable``).
 
         Args:
             parameters: Parameters of the leaf, without the numbers of its cell: arrays, scalars or generated code.
@@ -111,14 +111,14 @@ class LeafModel(ABC):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Bound cones ``offset + |x - apex|`` minus leaf functions from below and above, over convex pieces."""
+        """Return lower and upper bounds of cones ``offset + |x - apex|`` minus leaf functions, over convex pieces."""
         ...
 
     @abstractmethod
     def rounding_bounds(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Bound the difference between a 32-bit query at a point of any precision and each leaf's function."""
+        """Bound the difference between a 32-bit query at a point of any precision and each leaf's exact function."""
         ...
 
     def num_leaf_parameters(self, dim: int) -> int:
@@ -132,7 +132,7 @@ class LeafModel(ABC):
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the size of a file, without a byte budget, that determines the largest depth of its tree."""
+        """Return a file size in bytes, from which the depth limit follows unless a smaller byte budget is given."""
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(
@@ -141,7 +141,7 @@ class LeafModel(ABC):
         hi: Float[np.ndarray, "leaves dim"],
         coefficients: Float[np.ndarray, "leaves terms"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return a plane for each leaf: value at the center, and half-differences between opposite face centers."""
+        """Return a plane for each leaf: value at the center, and half of the rise between opposite face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
@@ -151,7 +151,7 @@ class LeafModel(ABC):
 
 
 class LinearLeafModel(LeafModel):
-    """A leaf model whose functions are linear in their coefficients, so that they can be refined.
+    """A leaf model whose functions are linear in their coefficients, such as planes.
 
     In local coordinates ``u`` (``[-1, 1]`` along every axis) a function is ``basis(u) @ coefficients``.
     """
@@ -163,7 +163,7 @@ class LinearLeafModel(LeafModel):
     def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Return coefficients of leaves that hold planes, given by center values and half-differences."""
+        """Return coefficients that represent planes, given by center values and half of the rise along each axis."""
         ...
 
     def values(

@@ -96,7 +96,7 @@ _INSET = 0.998  # keeps test points off the ends of a face, which other faces sh
 
 
 class FaceTests:
-    """A cached test of faces; a face is free if the goal can be reached from both sides of one of its points."""
+    """A cached test of faces; a face is free if the goal can be reached from both sides of one of its test points."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -178,7 +178,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round nonnegative values at leaf corners to nonnegative ones; hanging corners are ignored."""
+        """Round nonnegative values at leaf corners so that they stay nonnegative; hanging corners are ignored."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -189,7 +189,7 @@ class StoredValues:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append ties and values; values level by level, each as its difference from its prediction."""
+        """Append unreachable leaves, untied faces, and values by level, minus predictions from coarser values."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
@@ -200,7 +200,7 @@ class StoredValues:
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
+    """Read values, as :meth:`StoredValues.write` appended them; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
@@ -260,7 +260,7 @@ def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> Sto
 
 
 class _Rounds:
-    """The rounds of one construction; ``_most`` is the largest number of splits in a round."""
+    """A construction in rounds, each of which splits some leaves, at most ``_most``, and fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -333,7 +333,7 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit the free degrees of freedom to the samples of all leaves; also return the residuals."""
+    """Fit the free degrees of freedom to the samples of all leaves; return their values, and the residuals."""
     from scipy.sparse import bsr_array, diags_array
 
     coefficients = coefficient_matrix(order, space)

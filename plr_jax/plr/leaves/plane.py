@@ -58,7 +58,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the bit widths of half-differences, by axis and depth; 0 where all are zero."""
+        """Return the bits of half-differences (half the rise across a leaf), by axis and depth; 0 if all are 0."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -158,11 +158,11 @@ _BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte
 class Plane(LinearLeafModel):
     """A leaf model with one plane in every leaf, ``"plane"``; functions may jump between leaves.
 
-    Coefficients are the value at a leaf's center, then its half-differences.
+    Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
 
     Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, whose
-            half-differences take fewer bits. None: 32 without ``max_bytes``; with it, the number from 8 to 16 with
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers;
+            slopes usually take fewer bits. None: 32 without ``max_bytes``; with it, the number from 8 to 16 with
             the smallest expected error of fit and rounding.
 
     Raises:

@@ -1,7 +1,7 @@
 """The file format of cones: a table of sources, and the index of every leaf's source.
 
 A *source* is a point to which the shortest paths from a leaf go straight: a corner of an obstacle, or the goal.
-Most maps are drawn on a lattice, such as a grid or two decimals. Corners on the lattice have coordinates that are
+Most maps have coordinates on a lattice, such as integers or multiples of 0.01. Corners on the lattice are stored as
 multiples of one fraction. Other sources, such as a goal, are *fine*: multiples of a power of two, about ``2**-26`` of
 the domain's width. Each source names its *parent*, the next point on its shortest path to the goal. So its offset
 (its distance to the goal) is not stored: it is the parent's offset plus the distance to the parent. Only a *root*,
@@ -12,9 +12,9 @@ The bits in a file:
     number of fine sources, 20 bits; if there are any: exponent of their power of two plus 2**15, 16 bits; coordinates
     number of lattice sources, 20 bits; if there are any: inverse of the fraction, 16 bits; coordinates
     which sources are roots, 1 bit each; offsets of roots, 32-bit floats
-    parents of the other sources, in the bits of the largest index
+    parents of the other sources, each in as many bits as the largest index needs
     for every leaf, the rank of its source in a move-to-front list that starts in the order of the table:
-      is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest, 1 bit each; then rank - 3 as codes
+      is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest (1 bit each); the rest's rank - 3 as codes
 
 Coordinates of sources, sorted by the first axis, then the next:
 
@@ -75,7 +75,7 @@ class StoredSources:
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "sources"]:
-        """The distance of each source to the goal, along its parents; ``ValueError`` if these form a cycle."""
+        """The distance of each source to the goal, by way of its parents; ``ValueError`` if these form a cycle."""
         onward = self.parent
         length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
         for _ in range(len(onward).bit_length()):  # pointer doubling
@@ -97,7 +97,7 @@ def store_sources(
     parents: Int[np.ndarray, "sources"],
     domain: Box,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Convert sources to their file form, without duplicates; also return the new index of each source."""
+    """Return sources in their file form, without duplicates, and the new index of each given source."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -122,7 +122,7 @@ def store_sources(
 def _lattice(
     points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
 ) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Choose the fraction for which coordinates take the fewest bits; also return which sources are not multiples."""
+    """Return ``n`` of the lattice ``1 / n`` that takes the fewest bits, and which sources do not lie on it."""
     # A little more than workspaces round the corners that they are given.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     fractions = _LATTICES[2.0**-exponent > _LATTICES]

@@ -34,8 +34,8 @@ _UNDERFLOW = 1.1e-19
 class Cone(LeafModel):
     """A leaf model with cones ``offset + |x - source|``, ``"cone"``, for Euclidean distances among polygons.
 
-    Such a distance is exactly a cone wherever the next corner of the shortest path does not change. Coefficients are
-    the offset, then the coordinates of the source.
+    Such a distance is exactly a cone wherever the next corner of the shortest path, the source, does not change.
+    Coefficients are the offset (the source's distance to the goal), then the coordinates of the source.
     """
 
     name = "cone"
@@ -72,7 +72,7 @@ class Cone(LeafModel):
         return read_cones(body, domain, len(cells))
 
     def coefficients(self, cells: Cells, stored: StoredCones) -> Float[np.ndarray, "leaves terms"]:
-        """Return offsets and sources; a leaf from which nothing reaches the goal has the source of another leaf."""
+        """Return each leaf's offset and source; a leaf that cannot reach the goal has the source of another leaf."""
         return np.column_stack([stored.sources.offsets, stored.sources.points])[stored.source]
 
     def values(
@@ -118,17 +118,17 @@ class Cone(LeafModel):
         return offset + root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """Return all sources, and the index of every leaf's source."""
+        """Return all sources (corners and the goal) with their distances, and the index of every leaf's source."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
     def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
-        """Return the coordinates of the source among the parameters of a leaf."""
+        """Return the coordinates of the source (the next corner, or the goal) among a leaf's parameters."""
         return parameters[1:]
 
 
 def as_sourced(leaf: LeafModel) -> Cone:
-    """Return the leaf model if its leaves have sources; raise ``ValueError`` otherwise."""
+    """Return the leaf model if it is a cone, whose leaves store the next corner of paths; else ``ValueError``."""
     if not isinstance(leaf, Cone):
         raise ValueError(
             f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources. Build the PLR with "

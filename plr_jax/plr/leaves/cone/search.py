@@ -1,8 +1,8 @@
-"""Find the best partitions of cones within the limits of a file, for one goal or for many of one workspace.
+"""Find the best partitions into cone leaves within the limits of a file, for one goal or for many of a workspace.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
 2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
-3. Leaves change to sources that they see, if the error hardly grows (``prefer_visible_sources``).
+3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 4. For many goals, boxes that are equal for several goals are computed once (``FamilyTask``).
 """
 
@@ -38,16 +38,16 @@ from plr_jax.plr.tree import Cells, Rows, Tree, grown_domain, tree_of, tree_of_a
 # 1. Boxes and their best cones.
 
 _MOST_TRIED = 4
-"""Number of sources to try for a box: the sources used by the centers of its largest pieces."""
+"""Number of sources to try for a box: those that the centers of its largest convex pieces of free space use."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes and the best cone for each.
+    """Boxes, and the best cone ``distance of source + |x - source|`` for each.
 
     Attributes:
         negligible: Error up to which a box counts as exact.
-        visible: Sources of the boxes.
+        visible: Sources of the boxes: the goal, and corners where paths from them may turn first.
         source: Index of the best source; -1 if nothing in the box reaches the goal.
         error: Proven bound of the cone's largest error in the box; 0 if negligible.
         integral: Proven bound of the integral of this error over the box, as a share of the domain's area.
@@ -74,9 +74,9 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Return the distinct halves of boxes whose keys are not ``known``, their keys, and the keys of all halves.
+        """Halve boxes; return the distinct halves with keys not ``known``, their keys, and the keys of all halves.
 
-        For one goal, a key identifies the box. For a family, it also identifies the sources of the box.
+        For one goal, a key identifies the box; in a search for many goals, also its convex pieces and sources.
         """
         cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
         lo, hi = cells.grown_boxes(self.domain)
@@ -92,7 +92,6 @@ class ConeBoxes(Rows):
 
 
 def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
-    """Return the first index of each distinct unknown key, in ascending order."""
     distinct, first = np.unique(key, return_index=True)
     return np.sort(first[~np.isin(distinct, known)])
 
@@ -103,7 +102,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
-    """Find each box's best cone, whose proven error (0 if ``negligible``) has the smallest integral."""
+    """Find each box's best cone, of at most 4 tried, by the integral of its proven error (0 if ``negligible``)."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -126,7 +125,7 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
-    """Return each box's source if all of the box sees it and uses no other source; -1 for other boxes."""
+    """Return each box's source if all of the box sees it and uses no other source, so the cone is exact; else -1."""
     only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
     is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # one pair for each piece, or none
     is_box = is_box[np.diff(first)[is_box] > 0]
@@ -143,7 +142,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the largest error of a source's cone in a box, and its integral over the box's free space."""
+    """Bound the largest error of 'distance by way of the source' in a box, and its integral over free space."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -172,7 +171,7 @@ _KEY_BITS = 40  # bits for the index of a box in its level
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) and the index of each.
+    """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) of each, and its index there.
 
     ``source`` is the number of each leaf's source among all corners and goals (*viewpoints*), -1 for none.
     """
@@ -183,7 +182,7 @@ class LeafBoxes:
 
 
 def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, keeps_split_order: bool) -> tuple[Tree, LeafBoxes]:
-    """Return a tree as its file stores it: as it was split, or in the canonical form of its leaves."""
+    """Return a tree as files store it (as it was split, or in canonical form), and its leaves in that order."""
     found, order = tree_of_axes(tree.axes, 2), tree.order
     if not keeps_split_order:
         found = tree_of(found.leaves)
@@ -193,7 +192,7 @@ def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, keeps_split_order: 
 
 
 def leaf_views(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
-    """Return the viewpoints of the leaves' best sources, level by level; -1 if nothing reaches the goal."""
+    """Return the numbers of the leaves' best sources among all corners and goals, by level; -1 if there is none."""
     source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
     source[source >= 0] = levels[0].boxes.visible.views(source[source >= 0])
     return source
@@ -206,11 +205,12 @@ class SourceOptions:
     Attributes:
         key: Level and index of each box, combined.
         first: Index of each box's first option; most boxes have none.
-        view: Viewpoint of the option's source; ``is_own`` if it is the best source, ``by_all`` if all of the box sees
-            it.
+        view: Number of the option's source among all corners and goals; ``is_own`` if it is the box's best source,
+            ``by_all`` if all of the box sees it.
         error: Mean error over the box, at samples.
         hidden: Share of the box from which a wall hides the source.
-        largest, integral: Proven largest error, and proven integral of the error, as a share of the domain.
+        largest, integral: Proven largest error, and proven integral of the error over the box's free space.
+        area: Area of the box's free space.
     """
 
     key: Int[np.ndarray, "boxes"]
@@ -227,7 +227,7 @@ class SourceOptions:
 
 
 def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> SourceOptions:
-    """Compute the options of all boxes that are leaves of some tree."""
+    """Find alternative sources for leaf boxes that do not entirely see theirs; boxes of over 64 sources get none."""
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)
@@ -266,9 +266,9 @@ def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
 def prefer_visible_sources(
     tree: LeafBoxes, options: SourceOptions, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Choose viewpoints for the leaves of a tree; change them where part of a leaf does not see its best source.
+    """Return each leaf's source, as its number among corners and goals; prefer sources that the leaf sees.
 
-    No leaf's proven error exceeds the largest of all. The most useful changes come first, as many as fit.
+    No proven error rises above the largest one of all leaves. The most useful changes come first, as many as fit.
     """
     leaf, view = _changes(tree, options)
 
@@ -285,7 +285,7 @@ def prefer_visible_sources(
 def _changes(
     tree: LeafBoxes, options: SourceOptions
 ) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
-    """Return leaves that gain by another source, with its viewpoint, sorted by falling gain in error times area."""
+    """Return the leaves that gain by another source, and its number, sorted by falling gain in error times area."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
     option, leaf = take_ragged(options.first, box)
     if not len(leaf):
@@ -312,7 +312,7 @@ _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 ConeTree: TypeAlias = tuple[Tree, StoredCones]
 """A tree, and the file form of its leaves in the order of its traversal."""
 Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
-"""Function that repeats a step on trees until it returns None, and returns the last trees."""
+"""Function that repeats a step on trees until the step returns None, and returns the last trees."""
 
 
 def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
@@ -323,7 +323,7 @@ def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Fore
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cones of one goal; ``visible`` has the sources of the grown domain."""
+    """Find the best cone leaves for one goal; ``visible``: the sources of the domain, slightly enlarged."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible)
     levels = [BoxLevel.of(box, box.cells.hashes())]
@@ -341,10 +341,10 @@ def best_cones(
     run: Run,
     pruning: SearchPruning = EXACT,
 ) -> list[ConeTree]:
-    """Find the best leaves of each member, and change sources to visible ones.
+    """Find the best leaves for each member (goal), and change their sources to visible ones.
 
-    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` have the order of viewpoints:
-    for one goal the goal first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
+    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` are corners and its goal: for
+    one goal the goal comes first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
@@ -392,10 +392,10 @@ _ANY, _NONE = -1, -2  # in place of a source: nothing reaches the goal; several 
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """A builder of cones for members of a family; call it with the oracles of some members.
+    """A builder of cone leaves for oracles of one family (goals of one workspace); call it with some of them.
 
-    ``shared`` has the data of the start boxes that all oracles share. ``upper_cells`` are the cells of each number of
-    splits, up to the start boxes; ``halves`` index the halves of each cell among the next cells, by axis and half.
+    Searches begin at start boxes; ``shared`` has their data that all oracles share. ``upper_cells`` are the cells of
+    each number of splits, up to the start boxes; ``halves`` has each cell's halves as indices into the next cells.
     """
 
     shared: Any
@@ -426,7 +426,7 @@ class FamilyTask:
         return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_quietly, _FAMILY_PRUNING)
 
     def _upper_levels(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
-        """Make the boxes above the start boxes, goal by goal; their error is 0 with one source, else ``inf``."""
+        """Make the boxes above start boxes, for each goal; the error is 0 if one source is exact, else ``inf``."""
         levels, node = [], node_of
         nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
         is_alone = (boxes.source < 0) | (sole_sources(boxes.visible) >= 0)
@@ -452,7 +452,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) -> FamilyTask:
-    """Make the task of the family to which the oracle ``first`` belongs."""
+    """Make the builder for the family to which the oracle ``first`` belongs."""
     # Estimate the number of leaves that the limits allow.
     room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
@@ -472,6 +472,6 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) 
 
 
 def _corners_first(sources: Sources) -> Sources:
-    """Return sources in the order of a family's viewpoints, with the goal last."""
+    """Return sources in the order of a family's numbers: corners first, the goal last."""
     parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
     return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)

@@ -1,9 +1,9 @@
 """Update cones after a change of the map: keep leaves that still hold, and search for the others.
 
-A leaf holds if all distances in it have changed by one number. Its proven bounds tell which sources a shortest path
-from the leaf can go to first: sources whose cones come down to the distance somewhere in the leaf. If all such paths
-are intact and changed by one number, no distance increased by more. If no other source of the new map comes down as
-low, no distance increased by less.
+A leaf holds if all distances in it have changed by one number. Its proven bounds tell to which sources (corners, or
+the goal) a shortest path from it can go first: those whose cones come down to the distance somewhere in the leaf. If
+all such paths are intact and changed by one number, no distance increased by more. If no other source of the new map
+comes down as low, no distance increased by less.
 
 Every subtree of a tree that is optimal at a price per leaf is optimal too. So leaves that hold stay optimal at the
 same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the price
@@ -48,7 +48,7 @@ Leaf = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """Leaves of cones with proven bounds of the distance minus each cone; ``slack`` is their uncertainty."""
+    """A tree of cone leaves, with proven bounds of distance minus cone; ``slack`` is the uncertainty of distances."""
 
     domain: Box
     tree: Tree
@@ -73,7 +73,7 @@ class ConeLeaves:
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
         """Return the change of the distances in each leaf, if all changed by one number, and each leaf's new source.
 
-        The change is NaN for leaves that do not hold. The source is an index in ``after``, -1 if the source is gone.
+        The change is NaN if it may differ within the leaf. A source is an index in ``after``, -1 if it is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -122,7 +122,7 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a triangle's source whose cone comes as low as distances in the leaf may be."""
+        """Find pairs of a leaf and a source whose cone comes as low as distances in the leaf may be."""
         first = np.searchsorted(
             pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
         )  # first pair of each triangle
@@ -144,7 +144,7 @@ class ConeLeaves:
     def _may_cross_changes(
         self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether paths from leaves to sources may cross the changed part of the map."""
+        """Return whether straight lines from each leaf to its source may cross a changed part of the map."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)
@@ -189,7 +189,7 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """Costs of the nodes of a tree as leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
+    """Errors of a tree's nodes if they were leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
 
     ``price`` is a price per leaf at which the tree is optimal.
     """
@@ -201,7 +201,7 @@ class NodeCosts:
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the costs of all nodes, and estimate a price at which few leaves should be merged."""
+    """Compute the errors of nodes as leaves, and estimate a price per leaf at which few leaves should be merged."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
@@ -222,7 +222,7 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
 
 
 def _share(tree: Tree, limits: Limits) -> float:
-    """Return the weight of a leaf's largest error beside its integral, from the expected number of leaves."""
+    """Return the weight of a leaf's largest error beside the integral of its error, from the number of leaves."""
     most = min(limits.max_bytes, limits.max_leaves)
     return LEAST_SHARE_PROVEN / max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)
 
@@ -280,7 +280,6 @@ def updated_cones(
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
-    """Raise ``ValueError`` if distances at leaf centers contradict the leaves' bounds."""
     lo, hi = leaves.tree.leaves.boxes(leaves.domain)
     leaf = np.random.default_rng(0).permutation(len(lo))[:_ASKED]
     x = (lo[leaf] + hi[leaf]) / 2
@@ -342,7 +341,7 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start the search from the change in each leaf (NaN if it does not hold) and its new source."""
+        """Start the search from each leaf's change of distances (NaN if they may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
@@ -395,18 +394,18 @@ class ConeSearch:
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
     def expand_boxes(self, price: float) -> None:
-        """Compute the boxes that may be leaves at a price."""
+        """Compute the boxes that may be leaves at a price per leaf."""
         each = np.full(len(self.levels[0].key), price)
         expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
 
     def needs_no_refinement(self, price: float) -> bool:
-        """Return whether most leaves hold and few cost more than the price, so that more leaves would not pay."""
+        """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
         cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
-        """Search again at most ``count`` leaves of the highest costs, if these exceed the price."""
+        """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
         tree = self.leaves.tree
         integral, error = self.nodes.integral, self.nodes.error
         cost = (integral + self.share * error)[tree.node_of_leaf]
@@ -456,7 +455,7 @@ class ConeSearch:
         return FoundTree(price, walked, node, leaf, num_bytes, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Return the sources of a tree's leaves, where possible visible ones for new leaves."""
+        """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
@@ -485,7 +484,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the best tree that fits; None if no price fits, or if the limits allow far more leaves."""
+    """Return the best tree found that fits; None if none does, or if the limits allow far more leaves."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
