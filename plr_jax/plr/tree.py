@@ -65,7 +65,7 @@ class Cells(Rows):
         return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return boxes that contain every point a 32-bit query may assign to each cell."""
+        """Return lower and upper corners of boxes that contain every point a 32-bit query may assign to each cell."""
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -73,7 +73,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Map local coordinates ``u``, where ``[-1, 1]`` spans a cell, to points of the domain in every cell."""
+        """Map local coordinates ``u`` (``[-1, 1]`` spans a cell) to points in every cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow where the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -116,10 +116,10 @@ class Tree:
 
     Attributes:
         cells: Cell of each node.
-        axis: Axis along which each node is split, 0 for a leaf.
+        axis: Axis along which each node is halved, 0 for a leaf.
         child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
         node_of_leaf: Node of each leaf, in left-to-right traversal order.
-        splits: Split nodes of each level.
+        splits: Indices of the split nodes, one array for each level.
         order: For each leaf in traversal order, its index among the cells that :func:`tree_of` was given.
     """
 
@@ -142,12 +142,12 @@ class Tree:
         return leaf
 
     def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
-        """Return both children of each split node, adjacent to each other."""
+        """Return the indices of both children of each split node, the lower child first."""
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
 def tree_of(cells: Cells) -> Tree:
-    """Build the tree of given leaves; nodes are split along the first axis on which all their leaves are narrower."""
+    """Build the tree with given leaves; a node is split along the first axis on which all its leaves are narrower."""
     node = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)
