@@ -147,12 +147,12 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the smallest of ``sizes`` that holds ``n`` rows, else the next power of two, to compile few sizes."""
+    """Return a size to pad ``n`` rows to: the smallest of ``sizes`` that holds them, else the next power of two."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Return a size to pad large arrays to: at most an eighth above ``n``, out of few sizes."""
+    """Return a size, out of few, to pad an array of ``n`` rows to: at most an eighth above ``n``."""
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 

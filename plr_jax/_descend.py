@@ -209,7 +209,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible places with the least length plus field value."""
+    """Return edges from each corner to the ``count`` visible corners (or goal) of least length plus field value."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

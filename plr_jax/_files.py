@@ -67,7 +67,7 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """Read a YAML file of plain values; ``ValueError`` if it is invalid or exceeds the limits of this module."""
+    """Read a YAML file of plain values; ``ValueError`` if it is invalid, too large or too deeply nested."""
     import yaml
 
     text, loader = text_of(path), _loader()
@@ -114,7 +114,7 @@ def format_name(kind: str) -> str:
 
 
 def _require_plain(events: Iterator[Any]) -> None:
-    """Reject YAML that the parser would expand without limit: deep nesting, aliases, tags, long words."""
+    """Reject YAML with deep nesting, aliases, tags or long unquoted words, which could exhaust the parser."""
     import yaml
 
     nested = 0

@@ -46,7 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return vertices and counts of paths from starts through ``first`` to node 0; count 0 if they reach -1."""
+    """Return the vertices of paths from starts via ``first`` and ``onward`` to node 0, and their number, 0 if stuck."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
@@ -74,7 +74,7 @@ _NUM_SHIFTS = 8  # each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: of all axes, and of each block of axes alone."""
+    """Return motions of cost 1 in many directions: along all axes, and along axes that share a Euclidean norm alone."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -106,7 +106,7 @@ class PathCosts:
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimate the cost of motions from each configuration by some changes, from a few samples of each motion."""
+        """Estimate the cost of ``k`` motions from each configuration, from a few samples of each motion."""
         n, k, dof = changes.shape
         motion, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
@@ -157,7 +157,7 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Return paths by lookahead: vertices, counts, lengths, costs, and which starts are free."""
+    """Find paths by finite steps down a field; return vertices, counts, lengths, costs, and which starts are free."""
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
@@ -179,7 +179,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """Lookahead from many starts: finite steps that follow a field to its goal."""
+    """A descent from many starts: finite steps that follow a field (cost-to-go) to its goal."""
 
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
@@ -206,7 +206,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Follow the field; return nodes (the goal first), next nodes (-1 if stuck), and the nodes of the starts."""
+        """Step down the field; return nodes (0: the goal), each node's next node (-1: stuck), and the starts' nodes."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -231,7 +231,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return the best step's end from each configuration, and a status: 1 at the goal, -1 if there is no step."""
+        """Return the end of each configuration's best step, and 1 if that is the goal, -1 if no step falls, else 0."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -266,7 +266,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return configurations out of a local minimum to a value below ``below``, or None; reuse earlier escapes."""
+        """Return a path out of a local minimum to a value below ``below``, or None; reuse results of nearby minima."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
@@ -278,7 +278,7 @@ class _Lookahead:
         return chain
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Search for a configuration with a lower value, best first, one per cell (Barraquand and Latombe, 1991)."""
+        """Search best first for a path to a value below ``below``, one node per cell (Barraquand, Latombe, 1991)."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -312,7 +312,7 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """Return the next nodes of paths after skipping nodes where the straight motion past them is free and cheaper."""
+    """Skip nodes of paths where the straight motion past them is free and cheaper; return each node's next node."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
     leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
@@ -332,7 +332,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
-    """Shift inner nodes of paths to the goal to where the segments to their neighbors cost least."""
+    """Shift inner nodes of paths that reach the goal to where the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
     before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
@@ -352,7 +352,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the cheapest free place between each two nodes: the old configuration, or one of its changes."""
+    """Return the place between ``before`` and ``after`` of cheapest path: ``x``, or ``x`` plus one of ``changes``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

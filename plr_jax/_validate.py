@@ -1,4 +1,4 @@
-"""An independent check of paths, which shares no code with the collision tests of the planners.
+"""An independent check of paths, which shares almost no code with the collision tests of the planners.
 
 There are two exceptions: where obstacles touch and how that divides free space (the workspace says so), and which way
 a robot turns (part of the meaning of a path).
@@ -118,7 +118,7 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        """Distance that the cores must keep: the sum of the roundings."""
+        """Distance that the bodies' cores must keep: the sum of the radii by which both are rounded."""
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -131,7 +131,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the smallest clearances during motions without turns, in the frame of the other body."""
+        """Return the smallest clearance during each of the given motions without turns, from swept convex hulls."""
         start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -152,7 +152,7 @@ class _Encounter:
 
     @cached_property
     def max_rates(self) -> Float[np.ndarray, "motions"]:
-        """Bound of the change of clearance during each motion."""
+        """Upper bound of the change of clearance during each motion: how far points of both bodies move."""
         velocity = np.diff(self.path[:, :2], axis=0)
         max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
@@ -315,10 +315,10 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions after which a point, near a contact in ``motion``, is on another side than before.
+    """Return the motions, from the first change of side on, while a point stays near a vertex where obstacles touch.
 
-    Sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the contact
-    joins them, so the point's path in this disc decides.
+    There are none if ``motion`` does not meet the vertex. Sides are the sectors of free space there. In a disc of half
+    the length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])

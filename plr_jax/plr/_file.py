@@ -21,10 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The content of a PLR file: a tree, and the leaf model's data (``stored``) of its leaves, from left to right.
-
-    The tree partitions ``domain``: the box of mirrored points if there is a ``folding``, else the PLR's domain.
-    """
+    """The content of a PLR file: a tree of cells of ``domain`` (of mirrored points, if any), and its leaves' data."""
 
     domain: Box
     leaf: LeafModel

@@ -61,10 +61,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build one :class:`Trie` for several partitions, given each leaf's row of leaf parameters (``rows``).
-
-    Raises ``ValueError`` if a partition is too deep, or the trie too large.
-    """
+    """Build one lookup table of several PLRs, given each leaf's parameter row; ``ValueError`` if too deep or large."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)

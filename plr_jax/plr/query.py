@@ -371,10 +371,7 @@ bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function of NumPy points, in 64 bits: wrap them around periodic axes, then subtract the domain's corner.
-
-    Each step is left out if its attribute is None.
-    """
+    """A function that wraps 64-bit points around periodic axes, then subtracts a corner; None leaves a step out."""
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None
@@ -392,7 +389,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """One PLR per robot as one function of joint configurations; robots with ``bands`` get proven lower bounds."""
+    """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
 
     tables: tuple[Tables, ...]
     bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]

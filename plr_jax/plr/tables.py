@@ -212,10 +212,10 @@ _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
 class Pages:
     """The coarse level of a lookup table with *pages*: tables of those blocks that several leaves share.
 
-    A block is a cell of a coarse grid, a slot an entry that stores the parameters of a leaf. The first slots are the leaves themselves. A block that one leaf covers points to that leaf's slot; most blocks
-    do. Any other block has a *page*: slots for a grid as fine as its leaves need. The slot of a point is the page's
-    start plus the masked fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill
-    them.
+    A block is a cell of a coarse grid; a slot is an entry of the table, with the parameters of a leaf. The first
+    slots are the leaves themselves. Most blocks are covered by one leaf and point to its slot. Any other block has a
+    page: slots for a grid as fine as its leaves need. The slot of a point is the page's start plus the masked
+    fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill them.
 
     Attributes:
         words: For each block, a mask of the fraction bits that index its page and, above it, the page's first slot.
@@ -370,10 +370,7 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables, given the parameters of each leaf (``numbers``).
-
-    Raises ``ValueError`` if leaves are too deep for a file of ``num_bytes`` bytes.
-    """
+    """Build lookup tables from leaf parameters; ``ValueError`` if leaves are too deep for a file of that size."""
     of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
     # Large tables are padded for their own number of leaves, not for the most leaves of the class.

@@ -24,8 +24,8 @@ class GridDistance:
     It is a pytree of arrays whose shapes depend only on the shape of the grid.
 
     Attributes:
-        is_complete: Whether the map has at most ``max_corners`` corners; if not, distances are NaN. Always true for
-            ``moves`` of 4 or 8.
+        is_complete: Whether the map has at most ``max_corners`` corners at which paths may bend; if not, distances
+            are NaN. Always true for ``moves`` of 4 or 8.
         is_nan: Whether a coordinate of the goal is NaN; all distances are NaN then.
         shape: Rows and columns of the grid.
     """
@@ -67,7 +67,7 @@ class GridDistance:
 class GridDistances:
     """The distance between any two points of a grid; made by :func:`grid_distance` without a goal.
 
-    ``is_complete`` is that of :class:`GridDistance`.
+    ``is_complete`` tells whether the map has at most ``max_corners`` corners; if not, distances are NaN.
     """
 
     paths: StepPairs | CornerPairs
