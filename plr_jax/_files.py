@@ -147,7 +147,7 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it is always complete, even after a crash: write a temporary file, then rename it.
+    """Write a regular file so that it is always complete, even after a crash: write a temporary file, then rename it.
 
     A symbolic link is followed, and a replaced file keeps its permissions. Data for a device or pipe is written
     directly. An ``OSError`` names the given path, and leaves an older file unchanged.

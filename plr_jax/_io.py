@@ -27,9 +27,9 @@ def load(path: str | os.PathLike) -> Any:
     """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
 
     The result gives the same answers, bit for bit, as the saved object. The query tables of a PairPLR are many times
-    larger than its file. They are built by the first query, which takes seconds to minutes with thousands of corners
-    of obstacles. A file that is truncated, corrupt, or of another kind or format version raises ``ValueError``; a file
-    that cannot be read raises ``OSError``.
+    larger than its file. They are built by the first query, which takes seconds to minutes with thousands of corners.
+    A file that is truncated, corrupt, or of another kind or format version raises ``ValueError``; a file that cannot
+    be read raises ``OSError``.
     """
     path = file_path(path)
     try:

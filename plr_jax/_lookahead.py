@@ -46,7 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return the vertices of paths from starts via ``first`` and ``onward`` to node 0, and their number, 0 if stuck."""
+    """Return vertices of paths from starts via ``first`` and ``onward`` to node 0, and their number, 0 if stuck."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
@@ -74,7 +74,7 @@ _NUM_SHIFTS = 8  # each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: along all axes, and along axes that share a Euclidean norm alone."""
+    """Return motions of cost 1 in many directions: of all axes, and of each group of axes with one Euclidean norm."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -119,7 +119,7 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """Return motion costs by the midpoint rule, on pieces that are bisected until bounds prove the accuracy.
+        """Return costs of straight motions by the midpoint rule, halving intervals until bounds prove the accuracy.
 
         The relative error is at most ``tolerance``, plus 1/16 of it if the cost map jumps within a motion.
         """
@@ -179,8 +179,6 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """A descent from many starts: finite steps that follow a field (cost-to-go) to its goal."""
-
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
         self.domain, motion = costs.space.domain, costs.space.motion_cost
@@ -196,7 +194,7 @@ class _Lookahead:
         self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the field, with negative values raised to 0; ``inf`` outside the domain."""
+        """Return the field (cost-to-go) at points, at least 0; ``inf`` outside the domain."""
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if inside.any():
@@ -206,7 +204,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (0: the goal), each node's next node (-1: stuck), and the starts' nodes."""
+        """Step down the field; return nodes (0: the goal), each one's next node (-1: stuck), and nodes of starts."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -231,7 +229,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return the end of each configuration's best step, and 1 if that is the goal, -1 if no step falls, else 0."""
+        """Return where the best step from each configuration ends, and 1 at the goal, -1 if there is none, else 0."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -266,7 +264,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return a path out of a local minimum to a value below ``below``, or None; reuse results of nearby minima."""
+        """Return a path out of a local minimum to a value less than ``below``, or None; reuse paths found before."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:

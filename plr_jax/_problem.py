@@ -200,7 +200,7 @@ def _require_no_overlap(
 
 
 def _require_connected(problem: Problem) -> None:
-    """Raise ``ValueError`` if obstacles leave no path from a start to its goal, even for the robot's inscribed disc."""
+    """Raise ``ValueError`` if obstacles leave no path from start to goal, even for a robot's inscribed disc."""
     workspace, labels = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open

@@ -83,7 +83,7 @@ This alias lets code without Shapely name the class.
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that can share work on cells with others of its family, as for other goals on one map."""
+    """A distance function that can share work on cells with a family of functions, such as other goals on its map."""
 
     @property
     def family(self) -> Any:
@@ -96,7 +96,7 @@ class FamilyFn(Protocol):
 
     @staticmethod
     def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Return distinct ``FamilySources``, their keys, and each box's index per function or -1."""
+        """Return distinct sources of boxes for several functions, their keys, and their index by function and box."""
         ...
 
     @property
@@ -137,7 +137,7 @@ class ChangingFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function with a test ``is_free``, as points in obstacles and points without a path both answer inf."""
+    """A distance function with a test ``is_free``: a point of distance ``inf`` may be free, but without a path."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -145,7 +145,7 @@ class FreeSpaceFn(Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(Protocol):
-    """A distance function whose class can evaluate several of them in one call, as :class:`PLR` can."""
+    """A distance function, such as a PLR, whose class can combine several of them into one function for a team."""
 
     def __call__(self, x: Any, /) -> Any:
         """Return distances of points, as a :data:`DistanceFn`."""

@@ -107,7 +107,7 @@ class _Findings:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot along its path, and the blocked region or another robot along its path."""
+    """A robot with its path, and what it may hit: the blocked region, or another robot with its path."""
 
     who: tuple[int, ...]
     robot: Robot
@@ -168,7 +168,6 @@ class _Encounter:
 
     @cached_property
     def findings(self) -> _Findings:
-        """The smallest clearance, and the first motion that collides."""
         smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
         straight = np.flatnonzero(~self.turns)
         smallest[straight] = self.swept(straight)
@@ -214,7 +213,7 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Pair every robot with the blocked region, and with all robots near enough to collide or to be closest."""
+    """Pair each robot with the blocked region, and with all robots near enough to collide or to be the closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
@@ -244,7 +243,7 @@ def _tolerance(workspace: Workspace) -> float:
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Return lower bounds of the clearances of pairs of robots, from their circumscribed circles, sorted."""
+    """Return, sorted, a lower bound of the clearance of each two robots, from their circles, and both indices."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -292,7 +291,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find the first forbidden passage of a point robot between touching obstacles: robot, time, message."""
+    """Find the first passage of a point robot between obstacles that touch; return robot, time, message, or None."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -317,8 +316,8 @@ def _changes_of_side(
 ) -> list[int]:
     """Return the motions, from the first change of side on, while a point stays near a vertex where obstacles touch.
 
-    There are none if ``motion`` does not meet the vertex. Sides are the sectors of free space there. In a disc of half
-    the length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
+    There are none if ``motion`` misses the vertex. Sides are the sectors of free space there. In a disc of half the
+    length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
@@ -364,7 +363,7 @@ def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], rad
 
 
 def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find a robot that does not begin at its start or end at its goal: robot, time, message."""
+    """Find a robot that does not begin at its start or end at its goal; return robot, time, message, or None."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()

@@ -21,7 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The content of a PLR file: a tree of cells of ``domain`` (of mirrored points, if any), and its leaves' data."""
+    """The decoded content of a PLR file; with a ``folding`` (mirrors), ``domain`` is the box of mirrored points."""
 
     domain: Box
     leaf: LeafModel

@@ -62,7 +62,7 @@ class PLR(FileBacked):
     def __init__(
         self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, build_inputs: BuildInputs | None = None
     ) -> None:
-        """Wrap the bytes of a valid PLR file, padded by :func:`padded_file`; only :meth:`updated` needs the inputs."""
+        """Wrap a valid PLR file, padded by :func:`padded_file`; ``build_inputs`` serve :meth:`updated` alone."""
         self.file = file
         self.build_inputs = build_inputs
 
@@ -75,7 +75,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds (rows) of distance minus answer, for all leaves or each; None without proof."""
+        """Proven lower and upper bounds (rows) of distance minus answer, per leaf or for all; None without proof."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -134,7 +134,7 @@ class PLR(FileBacked):
 
     @property
     def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        """Lookup tables for NumPy's 64-bit points, and the function that first wraps or shifts these; None if none."""
+        """Lookup tables for NumPy's 64-bit points, and a function that first wraps or shifts the points, or None."""
         if isinstance(self.file, Tracer):
             return self.tables, None
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -158,7 +158,7 @@ class PLR(FileBacked):
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
         given, and covers the rounding of a query. Boundaries of obstacles are included. Points that are free, or
-        connected to the goal, only within the workspace's tolerance are not. In a domain far from the origin, as in UTM
+        connected to the goal, only by the workspace's tolerance are not. In a domain far from the origin, as in UTM
         coordinates, 32-bit points are rounded by more than the size of cells, and the bounds hold for the rounded
         points: pass NumPy's 64-bit points outside of ``jit``, or enable ``jax_enable_x64``.
 
@@ -204,7 +204,7 @@ class PLR(FileBacked):
         return None if certificate is None else certificate.max_error
 
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
-        """Return each point's next waypoint: the goal or corner (the *source*) from which its leaf measures distances.
+        """Return each point's next waypoint: the goal or corner (*source*) from which its leaf measures distances.
 
         Only for leaves that are cones. Walls between a point and its waypoint are not considered. At a source, the
         waypoint may be that source itself; for whole paths see :func:`trace`.
@@ -369,10 +369,7 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Lower and upper corners of all leaves and, if symmetries were used, of their mirror images.
-
-        Raises ``ValueError`` if the mirrors are not along the axes.
-        """
+        """Lower and upper corners of all leaves and their mirror images; ``ValueError`` if mirrors are oblique."""
         return self._boxes[:2]
 
     @property
@@ -388,7 +385,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Whether no sample in a leaf reaches the goal; such leaves continue a neighbor's plane or answer ``inf``."""
+        """Leaves without a reachable sample (never cones), which continue a neighbor's plane or answer ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
@@ -403,7 +400,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Value ``intercept`` of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers so."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers so."""
         return self._planes[0]
 
     def __repr__(self) -> str:

@@ -3,9 +3,9 @@
 A stack holds one *trie* of all its PLRs: a lookup table whose levels each consume a few fraction bits (``frame.py``).
 A *page* has an entry for each cell of a regular grid. The first page of a PLR covers the domain; the first pages of
 all PLRs are adjacent. Any other page covers one cell of the level above that several leaves share. An odd entry ``2 *
-i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. The table begins with
-entry ``i`` = ``2 * i`` for every row ``i``: a lookup that ended early repeats its result in later levels. A query reads
-a trie more often than the page table of a single PLR (``tables.py``), but a trie takes less memory.
+i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. The table begins
+with entry ``i`` = ``2 * i`` for every row ``i``: a lookup that ended early repeats its result in later levels.
+A query reads a trie more often than the page table of a single PLR (``tables.py``), but a trie takes less memory.
 
 References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
@@ -61,7 +61,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build one lookup table of several PLRs, given each leaf's parameter row; ``ValueError`` if too deep or large."""
+    """Build one lookup table of several PLRs from each leaf's row number; ``ValueError`` if too deep or too large."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -123,7 +123,6 @@ def _page_entries(
     begin: Int[np.ndarray, "dim"],
     end: Int[np.ndarray, "dim"],
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return, for cells (``place``) of a trie level's grid, the index into ``page`` and the entry in that page."""
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -150,7 +149,6 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        """Group PLRs, given their lookup tables, complete (``tables``) and without leaves (``frames``)."""
         # 1. Share the arrays of domains and foldings that are equal; flatten the others.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
@@ -181,7 +179,7 @@ class _SameShapeGroup:
         return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """Return lookup tables in which each point reads the PLR of its index ``which`` in the group."""
+        """Return lookup tables with which each point is looked up in PLR number ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
@@ -222,8 +220,8 @@ class PLRStack:
 
         Args:
             index: Indices of PLRs, integers of a shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. NumPy points are placed in 64 bits, as in :func:`evaluate`, if
-                ``index`` is NumPy too.
+            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin and ``index`` is NumPy too,
+                NumPy points are made relative to a corner of the domain in 64 bits.
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:

@@ -85,7 +85,7 @@ class BitWriter:
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``, given as a mask: its size, then how many non-members precede each member."""
+        """Append a subset of ``range(n)``, given as a mask: its size, then how many indices each member skips."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
@@ -218,7 +218,7 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
-    """Read a tree that :func:`write_tree` wrote; raises ``ValueError`` if it is too deep or splits an unknown axis."""
+    """Read what :func:`write_tree` wrote; raise ``ValueError`` if a tree is too deep or splits an unknown axis."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

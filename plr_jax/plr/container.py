@@ -196,7 +196,7 @@ def holds_pairs(data: bytes) -> bool:
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read a file, but at most one byte more than the limit, and only the start if its magic is wrong."""
+    """Read a file, but at most ``MOST_BYTES + 1`` bytes, and only its start if that is not a PLR file's."""
     with open(path, "rb") as file:
         data = file.read(_START)
         if data.startswith((MAGIC, GRID_MAGIC)):  # any other file may be endless, such as a device
@@ -288,7 +288,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    """Return numbers as integers over one power of ten, or None where that is not exact."""
+    """Encode numbers as integers over one power of ten; return None if that is not exact."""
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]

@@ -79,7 +79,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of the mirrors, a preimage of each folded point and whether the domain contains it."""
+        """Yield, for each subset of mirrors, a preimage of each folded point and whether the domain contains it."""
         for chosen in product((False, True), repeat=len(self.mirrors)):
             reversals = np.sum([m for m, use in zip(self.mirrors, chosen, strict=True) if use], axis=0)
             mirrored = np.where(np.mod(reversals, 2) == 1, -z, z)
@@ -106,10 +106,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return corners of all boxes of the domain that the mirrors map onto leaf boxes, and the leaf of each box.
-
-        Boxes are clipped to the domain. Raises ``ValueError`` if the folded axes are rotated.
-        """
+        """Return corners of all boxes that mirrors map to leaf boxes, and their leaves; ``ValueError`` if rotated."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

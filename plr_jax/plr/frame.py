@@ -69,7 +69,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate the integer points of many boxes; return the box and the coordinates of each point."""
+    """Enumerate the integer points of many boxes; return the index of each point's box, and its coordinates."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):

@@ -58,7 +58,7 @@ def bounds_of_tables(
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Return proven lower (at least 0) and upper bounds: answer plus bounds of its error (``band``), rounded outward.
 
-    ``straight`` is the lower bound by the straight line: goal, rate, margin.
+    ``straight`` holds goal, rate and margin of a second lower bound, ``rate * |x - goal| - margin``.
     """
     value = evaluate_tables(tables, x)
     if band.shape[1] == 1:
@@ -103,7 +103,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
 
 def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Return the row of leaf parameters of each wrapped point: its table entry if there are pages, else its leaf."""
+    """Return each wrapped point's row of ``Tables.leaf_parameters``: the leaf's number or, with pages, the slot's."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -159,7 +159,7 @@ def _fold(
 def outside_domain(
     tables: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Return whether wrapped points are outside the closed domain, and answers for there: ``inf``, NaN for NaN."""
+    """Return whether wrapped points are outside the closed domain, and what they get: ``inf``, or NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):

@@ -16,7 +16,7 @@ PLACING = 2.0**-21
 
 
 class Rows:
-    """A dataclass base whose array fields are columns, indexed row by row; other fields are shared by all rows."""
+    """A base of dataclasses whose array fields have one row per item; indexing picks the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -73,7 +73,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Map local coordinates ``u`` (``[-1, 1]`` spans a cell) to points in every cell."""
+        """Return, for each cell, the points with given local coordinates ``u``; ``[-1, 1]`` spans the cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow where the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -136,7 +136,7 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Traversal index of each node that is a leaf, -1 for split nodes."""
+        """Number of the leaf, from left to right, of each node that is a leaf; -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf

@@ -21,7 +21,7 @@ Moves = Literal["any-angle", 4, 8]
 class GridDistance:
     """The distance from any point of a grid to a goal; made by :func:`grid_distance`.
 
-    It is a pytree of arrays whose shapes depend only on the shape of the grid.
+    It is a pytree of arrays whose shapes depend only on the shape of the grid, ``moves`` and ``max_corners``.
 
     Attributes:
         is_complete: Whether the map has at most ``max_corners`` corners at which paths may bend; if not, distances
@@ -37,7 +37,7 @@ class GridDistance:
 
     @property
     def cells(self) -> Float[Array, "h w"]:
-        """Distances of the centers of all cells, computed at each access."""
+        """Distances of the centers of all cells to the goal, computed at each access."""
         h, w = self.shape
         return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
 
@@ -49,7 +49,8 @@ class GridDistance:
 
         Returns:
             Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
-            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN.
+            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN, or if
+            ``is_complete`` is false.
 
         Raises:
             ValueError: If ``x`` has a wrong shape or is not real.
@@ -74,7 +75,7 @@ class GridDistances:
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the distance between the points of each pair; see :meth:`GridDistance.__call__`.
+        """Return the distance from each point ``x`` to the point ``y`` in its place; see :class:`GridDistance`.
 
         Args:
             x: Points ``(x, y)``, ``(..., 2)``.

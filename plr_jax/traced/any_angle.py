@@ -27,16 +27,16 @@ Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12
 """Most corners of a map; the distances between so many take 64 MB."""
 MAX_LATTICE = 2**8
-"""By default, tables have room for all corners of cells inside a grid, if they are no more than this, else for half."""
+"""By default, tables have room for all corners of cells inside a grid, if at most this many, else for half."""
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return the least distance of points from the sides of cells: 32 float spacings at the largest coordinate."""
+    """Return how far points that are moved inside a cell stay from its sides: 32 rounding errors of coordinates."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside its first and last free cell ``(..., 2, 2)``, and whether it is in a free cell."""
+    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one."""
     *cells, is_free = free_cells(free, x)
     cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
@@ -137,7 +137,7 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend.
 
-    Entry ``i`` is number ``index[i]`` of the points of :func:`lattice` if ``is_convex[i]``; other entries are padding.
+    Entry ``i`` is point number ``index[i]`` of :func:`lattice` if ``is_convex[i]``; other entries are padding.
     """
 
     free: Bool[Array, "*maps h w"]
@@ -218,7 +218,7 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
-    """Return each corner's distance to the goal, given edge lengths and the distances of corners that see the goal."""
+    """Return each corner's distance to the goal, given edge lengths and distances of corners that see the goal."""
 
     def relaxed(state):
         old, _ = state

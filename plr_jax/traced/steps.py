@@ -59,7 +59,7 @@ def neighbors_of(words: Grids) -> Grids:
 def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
     """Return rows and columns of the first and last free cell that contain each point, and whether there is one.
 
-    Up to four closed cells contain a point. If two free and two blocked cells meet at it, both free ones are returned.
+    Up to four closed cells contain a point. If only two are free, diagonally, these are returned.
     """
     size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
@@ -78,7 +78,7 @@ def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Path lengths from all cells to the cell of the goal; a point on the side between two cells is in both."""
+    """Path lengths from all cells to the goal's; a point on a side between free cells gets the shorter length."""
 
     table: Float[Array, "*maps h w"]
 

@@ -74,7 +74,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a position along an axis in ``2**-23`` of the domain's width, given its offset and column of the frame."""
+    """Return a position along an axis in ``2**-23`` of the domain's width, from its offset and the frame's column."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -178,7 +178,7 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate a leaf; if it has local coordinates, ``numbers`` begins with ``2**depth`` and position per axis."""
+        """Evaluate a leaf; with local coordinates, ``numbers`` begins with ``2**depth`` and position per axis."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
@@ -190,7 +190,7 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, above: Point) -> Value | None:
-        """Return the lower bound ``rate * |x - goal| - margin``, given offsets ``above``; None if the file has none."""
+        """Return the lower bound ``rate * |x - goal| - margin`` for offsets ``above``; None if the file has none."""
         certificate = self.contents.certificate
         if certificate is None or certificate.straight is None:
             return None

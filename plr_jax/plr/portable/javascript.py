@@ -37,7 +37,7 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"Math.floor({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2) at the upper end of a word; the descent shifts them out."""
+        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
@@ -71,7 +71,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return JavaScript of ``coneReader(tables)``: it returns query functions of the cones that ``readCones`` reads."""
+    """Return JavaScript of ``coneReader``, from the tables of ``readCones`` to distance, waypoint and bounds."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -134,7 +134,6 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
-        """Generate the search of the leaf; return its parameters, after its cell if it has local coordinates."""
         row, counts = "0", ["1", "0"] * dim
         if has_tree:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(fractions)]
@@ -145,7 +144,6 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
     def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
-        """Generate a function up to its value; return code, value and offsets. Arguments: results outside."""
         do = JavaScriptEmitter()
         outside = [f"return {nan_condition(dim)} ? {of_nan} : {others};"]
         offsets, numbers = write_lookup(do, program, "double", read_leaf, outside)
@@ -178,7 +176,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a leaf's row: descend the tree, after a grid lookup unless it tracks cells (of_cells)."""
+    """Generate the search of a point's leaf in the tree; if its cell is not needed, a grid lookup comes first."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

@@ -196,8 +196,7 @@ class NumpyPLR:
 
     ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats. Results equal those of C headers
     (:meth:`PLR.c_header`) bit for bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are
-    rounded to 32 bits; in a domain far from the origin and around periodic axes, 64-bit points are placed before
-    that.
+    rounded to 32 bits; before that, 64-bit points are wrapped and, in a domain far from the origin, shifted.
 
     A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds per point.
     Waypoints, bounds, single points around periodic axes, and single points outside with ``outside`` other than
@@ -270,7 +269,7 @@ class NumpyPLR:
         return answer
 
     def waypoint(self, x: ArrayLike) -> Any:
-        """Return the next waypoint from each point ``(..., dim)``, for leaves that are cones; see :meth:`PLR.waypoint`.
+        """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`.
 
         Results are float32, or float64 in a domain far from the origin.
         """
@@ -344,7 +343,7 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Evaluate the nearest points of the domain, and add the distances to these; ``inf`` if not finite."""
+        """Return the values at the nearest points of the domain plus distances to these; ``inf`` if not finite."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)

@@ -1,6 +1,6 @@
 """Emitters: operations that generate source code instead of computing results.
 
-Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names one.
+Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression.
 """
 
 import re
