@@ -196,7 +196,7 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
+        """Proven bound of the largest error where :meth:`bounds` hold, in units of distance; None without a proof.
 
         It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`; see :meth:`bounds`.
         """
@@ -286,8 +286,8 @@ class PLR(FileBacked):
     def js_module(self) -> str:
         """Return the PLR as the text of a JavaScript module without imports.
 
-        It exports ``distance(x)`` of an array of ``dim`` numbers and, for cones, ``waypoint(x)``. Results equal those
-        of :meth:`numpy` for 64-bit points, bit for bit.
+        It exports ``distance(x)`` of an array of ``dim`` numbers, for cones ``waypoint(x)`` and, with a proof,
+        ``bounds(x)``. Results equal those of :meth:`numpy` for 64-bit points, bit for bit.
         """
         return self.numpy().js_module()
 

@@ -55,8 +55,8 @@ class ByteReader:
 
 
 _MAX_WIDTH = 62  # bits; sums and shifts of such integers fit 64 bits
-_COUNT_BITS, _ORDER_BITS = 32, 5
-_MAX_CODED = 2**40
+_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
+_MAX_CODED = 2**40  # integers in Exp-Golomb codes are smaller
 
 
 class BitWriter:

@@ -31,8 +31,8 @@ GRID_MAGIC = b"PGP\n"
 """First bytes of files of distances between cells of a grid (see ``pairs/grid_pairs.py``)."""
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of earlier versions
 MOST_LAYERS = 32
-_MOST_IN_BITS = 15
-_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7
+_MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
+_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
 _CRC = struct.Struct("<I")
 
 

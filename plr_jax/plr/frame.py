@@ -22,13 +22,13 @@ MIN_CLASS = 8  # smallest size class of a file, 256 bytes
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, bits of the flat table); MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
-_DEEP_BITS = 28  # most fraction bits over all axes, beyond the classes above
+_DEEP_BITS = 28  # most halvings over all axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 13  # most splits along an axis with pages, so that blocks and pages stay small
-_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27  # log2: per byte, least, most
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return how often each block (cell of a coarse grid) is halved along each axis to separate its leaves."""
+    """Return how often each block (cell of a grid of ``2**block_bits`` cells) is halved to separate its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -46,7 +46,7 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return, for overlapping leaves and blocks, both indices, and the leaf's first slot and extent in the block."""
+    """Return, for leaves and blocks that overlap, both indices, and first cell and extent in the block's grid."""
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)

@@ -175,7 +175,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
-    """Build a tree from the split axes of its nodes in level order, -1 for a leaf."""
+    """Build a tree from the split axes of its nodes, one array per level from the root; -1 marks a leaf."""
     num_nodes = sum(map(len, axes))
     child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0

@@ -104,7 +104,7 @@ def grid_distance(
 def grid_distance(
     free: ArrayLike, goal: ArrayLike | None, *, moves: Moves = "any-angle", max_corners: int | None = None
 ) -> GridDistance | GridDistances:
-    """Compute lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
+    """Return a function that measures shortest paths on a grid of free and blocked cells, also inside ``jit``.
 
     Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
     ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers

@@ -206,7 +206,7 @@ class NumpyPLR:
         dim: Number of axes.
         domain: Closed box that the PLR covers.
         num_leaves: Number of leaves.
-        max_error: Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
+        max_error: Proven bound of the largest error, in units of distance; None if nothing is proven.
     """
 
     def __init__(self, data: bytes):
