@@ -59,7 +59,7 @@ def chains_of(
 _CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
 _STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
-_LEAST_SHARE = 1 / 16  # pieces shorter than this share of a motion are allowed the absolute error of such a piece
+_LEAST_SHARE = 1 / 16  # shorter parts of a motion are allowed the absolute error of a part of this share
 _MOST_HALVINGS = 40
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
 _FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
@@ -135,12 +135,12 @@ class PathCosts:
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
         motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
         begin, end = ends[motion, place], ends[motion, place + 1]
-        # 2. Halve the pieces whose cost is not accurate enough.
+        # 2. Halve the intervals whose cost is not accurate enough.
         for halvings in range(_MOST_HALVINGS + 1):
             middle = (begin + end) / 2
             q = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
             part = (end - begin)[:, None] * change[motion]
-            # Bound the cost in the box around each piece, which lies in the domain up to rounding.
+            # Bound the cost in the box around each interval, which lies in the domain up to rounding.
             lo, hi = np.maximum(q - np.abs(part) / 2, domain.lo), np.minimum(q + np.abs(part) / 2, domain.hi)
             lower, upper, pulls = cost_bounds(motion_cost, self.cost_map, lo, hi)
             norm = motion_cost.norm(part)
@@ -350,7 +350,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the place between ``before`` and ``after`` of cheapest path: ``x``, or ``x`` plus one of ``changes``."""
+    """Return where paths from ``before`` to ``after`` cost least: at ``x``, or ``x`` plus one of ``changes``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

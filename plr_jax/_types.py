@@ -96,7 +96,7 @@ class FamilyFn(Protocol):
 
     @staticmethod
     def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Return distinct sources of boxes for several functions, their keys, and their index by function and box."""
+        """Return distinct sources (first turns) of boxes, their keys, and their index by function and box, or -1."""
         ...
 
     @property

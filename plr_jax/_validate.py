@@ -4,8 +4,8 @@ There are two exceptions: where obstacles touch and how that divides free space 
 a robot turns (part of the meaning of a path).
 
 Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
-bisected in time: the clearance in the middle of a piece, less the distance that the bodies move, bounds it in the
-whole piece. Bisection ends when the smallest clearance is known and every piece is proven free or in collision.
+bisected in time: the clearance in the middle of an interval, less the distance that the bodies move, bounds it in
+the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in collision.
 """
 
 from collections.abc import Sequence
@@ -176,7 +176,7 @@ class _Encounter:
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
             bound = middle - self.max_rates[motion] * size / 2
-            # Drop motions that collide, and pieces that are free and cannot have the smallest clearance.
+            # Drop motions that collide, and intervals that are free and cannot have the smallest clearance.
             unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
             size /= 2

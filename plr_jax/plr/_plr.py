@@ -227,7 +227,7 @@ class PLR(FileBacked):
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.
 
-        Only for certified cones. A leaf stays if all its distances are proven to have changed by one constant.
+        Only for cones with a proof. A leaf stays if all its distances are proven to have changed by one constant.
         Elsewhere new leaves are searched; the mean error is about that of a new PLR. If the budget is exceeded,
         leaves are merged; if some of it is left, leaves with large errors are refined. A PLR in memory keeps its
         oracle and intermediate results, so later updates are faster than the first one, or than one of a PLR from a
@@ -245,7 +245,7 @@ class PLR(FileBacked):
             does not change.
 
         Raises:
-            ValueError: If this is no PLR of certified cones, the oracles are no visibility graphs of one goal, the
+            ValueError: If this is no PLR of cones with a proof, the oracles are no visibility graphs of one goal, the
                 old oracle is unknown or found to differ from ``before``, or as for :func:`construct`.
         """
         require_updatable(self._contents)

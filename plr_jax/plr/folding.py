@@ -106,7 +106,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return corners of all boxes that mirrors map to leaf boxes, and their leaves; ``ValueError`` if rotated."""
+        """Return corners of all boxes mirrored to leaf boxes, and their leaves; ``ValueError`` for rotated axes."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

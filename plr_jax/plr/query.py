@@ -305,7 +305,7 @@ def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> 
     )
     share = (x[..., axis] - lo) * scale
     # The bound separates product and sum. If a compiler fused them in only one part of a query, a point near a border
-    # could get the block of one cell and the slot of the other.
+    # could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
     return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
