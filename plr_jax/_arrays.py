@@ -23,7 +23,7 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB]
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Return a batch of points ``(n, dim)``; without ``dim`` any dimension of at least 1 is allowed."""
+    """Check a batch of points ``(n, dim)`` and return it as float64; without ``dim``, any is allowed, at least 1."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Return one point ``(dim,)``; without ``dim`` any dimension of at least 1 is allowed."""
+    """Check one point ``(dim,)`` and return it as float64; without ``dim``, any is allowed, at least 1."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -43,7 +43,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Return a read-only copy of one finite point, such as a goal."""
+    """Check that one point ``(dim,)``, such as a goal, is finite, and return a read-only copy."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -93,7 +93,7 @@ def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Return the answer of a function for ``n`` points, one number each; masked entries become ``inf``."""
+    """Check that a function answered one number for each of ``n`` points; masked entries become ``inf``."""
     values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         called = f"it is called with a batch of points ({n}, dim)"
@@ -102,7 +102,7 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
-    """Return the answer of a test for ``n`` points, one boolean each; masked entries are rejected."""
+    """Check that a test answered one boolean for each of ``n`` points; masked entries are rejected."""
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -140,19 +140,19 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
 
 
 def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """Return a finite number of at least 0, or greater than 0."""
+    """Check that a number is finite and at least 0 (if ``positive``: above 0), and return it as a float."""
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the smallest of ``sizes`` that holds ``n`` rows, else the next power of two, to compile few sizes."""
+    """Return a size to pad ``n`` rows to: the smallest of ``sizes`` that holds them, else the next power of two."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Return a size to pad large arrays to: at most an eighth above ``n``, out of few sizes."""
+    """Return a size, out of few, to pad an array of ``n`` rows to: at most an eighth above ``n``."""
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
@@ -170,7 +170,7 @@ def as_bool(name: str, value: object) -> bool:
 
 
 def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
-    """Return the run of each item and its index in that run, for consecutive runs of given lengths."""
+    """Return, for items in consecutive runs of lengths ``counts``, each item's run and its index in that run."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -193,7 +193,7 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the items of some runs, and each item's run as an index into ``which``; run i starts at ``first[i]``."""
+    """Return the items of runs ``which``, and each one's run as an index into ``which``; run i starts at first[i]."""
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 

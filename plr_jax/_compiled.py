@@ -32,8 +32,8 @@ def answered_in_parts(
 ) -> tuple[np.ndarray, ...]:
     """Apply a compiled function to the rows of arrays, ``(*batch, width)``, in equally large parts on all cores.
 
-    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``, and is compiled for each ``n``:
-    only the two ``sizes``, the rows in a part of a small and of a large batch. The last part is padded with zeros.
+    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``, and is compiled for each ``n``. So
+    parts have only two ``sizes`` (numbers of rows), for small and for large batches; zeros pad the last part.
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
     count = prod(batch)

@@ -1,9 +1,9 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
 For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Let ``f`` be the field. Each corner is joined to the two visible places (corners or the goal) with the least
-``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a corner
-twice, even if the field has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+corners. Let ``f`` be the cost-to-go. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of
+least ``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a
+corner twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -209,7 +209,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible places with the least length plus field value."""
+    """Return edges from each corner to the ``count`` visible corners (or goal) of least length plus field value."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

@@ -67,7 +67,7 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """Read a YAML file of plain values; ``ValueError`` if it is invalid or exceeds the limits of this module."""
+    """Read a YAML file of plain values; ``ValueError`` if it is invalid, too large or too deeply nested."""
     import yaml
 
     text, loader = text_of(path), _loader()
@@ -114,7 +114,7 @@ def format_name(kind: str) -> str:
 
 
 def _require_plain(events: Iterator[Any]) -> None:
-    """Reject YAML that the parser would expand without limit: deep nesting, aliases, tags, long words."""
+    """Reject YAML with deep nesting, aliases, tags or long unquoted words, which could exhaust the parser."""
     import yaml
 
     nested = 0
@@ -147,7 +147,7 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it is always complete, even after a crash: write a temporary file, then rename it.
+    """Write a regular file so that it is always complete, even after a crash: write a temporary file, then rename it.
 
     A symbolic link is followed, and a replaced file keeps its permissions. Data for a device or pipe is written
     directly. An ``OSError`` names the given path, and leaves an older file unchanged.

@@ -46,7 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return vertices and counts of paths from starts through ``first`` to node 0; count 0 if they reach -1."""
+    """Return vertices of paths from starts via ``first`` and ``onward`` to node 0, and their number, 0 if stuck."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
@@ -59,7 +59,7 @@ def chains_of(
 _CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
 _STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
-_LEAST_SHARE = 1 / 16  # pieces shorter than this share of a motion are allowed the absolute error of such a piece
+_LEAST_SHARE = 1 / 16  # shorter parts of a motion are allowed the absolute error of a part of this share
 _MOST_HALVINGS = 40
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
 _FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
@@ -74,7 +74,7 @@ _NUM_SHIFTS = 8  # each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: of all axes, and of each block of axes alone."""
+    """Return motions of cost 1 in many directions: of all axes, and of each group of axes with one Euclidean norm."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -106,7 +106,7 @@ class PathCosts:
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimate the cost of motions from each configuration by some changes, from a few samples of each motion."""
+        """Estimate the cost of ``k`` motions from each configuration, from a few samples of each motion."""
         n, k, dof = changes.shape
         motion, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
@@ -119,7 +119,7 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """Return motion costs by the midpoint rule, on pieces that are bisected until bounds prove the accuracy.
+        """Return costs of straight motions by the midpoint rule, halving intervals until bounds prove the accuracy.
 
         The relative error is at most ``tolerance``, plus 1/16 of it if the cost map jumps within a motion.
         """
@@ -135,12 +135,12 @@ class PathCosts:
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
         motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
         begin, end = ends[motion, place], ends[motion, place + 1]
-        # 2. Halve the pieces whose cost is not accurate enough.
+        # 2. Halve the intervals whose cost is not accurate enough.
         for halvings in range(_MOST_HALVINGS + 1):
             middle = (begin + end) / 2
             q = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
             part = (end - begin)[:, None] * change[motion]
-            # Bound the cost in the box around each piece, which lies in the domain up to rounding.
+            # Bound the cost in the box around each interval, which lies in the domain up to rounding.
             lo, hi = np.maximum(q - np.abs(part) / 2, domain.lo), np.minimum(q + np.abs(part) / 2, domain.hi)
             lower, upper, pulls = cost_bounds(motion_cost, self.cost_map, lo, hi)
             norm = motion_cost.norm(part)
@@ -157,7 +157,7 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Return paths by lookahead: vertices, counts, lengths, costs, and which starts are free."""
+    """Find paths by finite steps down a field; return vertices, counts, lengths, costs, and which starts are free."""
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
@@ -179,8 +179,6 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """Lookahead from many starts: finite steps that follow a field to its goal."""
-
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
         self.domain, motion = costs.space.domain, costs.space.motion_cost
@@ -196,7 +194,7 @@ class _Lookahead:
         self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the field, with negative values raised to 0; ``inf`` outside the domain."""
+        """Return the field (cost-to-go) at points, at least 0; ``inf`` outside the domain."""
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if inside.any():
@@ -206,7 +204,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Follow the field; return nodes (the goal first), next nodes (-1 if stuck), and the nodes of the starts."""
+        """Step down the field; return nodes (0: the goal), each one's next node (-1: stuck), and nodes of starts."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -231,7 +229,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return the best step's end from each configuration, and a status: 1 at the goal, -1 if there is no step."""
+        """Return where the best step from each configuration ends, and 1 at the goal, -1 if there is none, else 0."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -266,7 +264,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return configurations out of a local minimum to a value below ``below``, or None; reuse earlier escapes."""
+        """Return a path out of a local minimum to a value less than ``below``, or None; reuse paths found before."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
@@ -278,7 +276,7 @@ class _Lookahead:
         return chain
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Search for a configuration with a lower value, best first, one per cell (Barraquand and Latombe, 1991)."""
+        """Search best first for a path to a value below ``below``, one node per cell (Barraquand, Latombe, 1991)."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -312,7 +310,7 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """Return the next nodes of paths after skipping nodes where the straight motion past them is free and cheaper."""
+    """Skip nodes of paths where the straight motion past them is free and cheaper; return each node's next node."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
     leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
@@ -332,7 +330,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
-    """Shift inner nodes of paths to the goal to where the segments to their neighbors cost least."""
+    """Shift inner nodes of paths that reach the goal to where the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
     before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
@@ -352,7 +350,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the cheapest free place between each two nodes: the old configuration, or one of its changes."""
+    """Return where paths from ``before`` to ``after`` cost least: at ``x``, or ``x`` plus one of ``changes``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

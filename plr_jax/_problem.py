@@ -128,7 +128,7 @@ def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
 
 
 def require_problem(problem: object, path: object = None) -> None:
-    """Raise ``ValueError`` unless ``problem`` is a Problem and ``path`` is not an object that contains a path."""
+    """Raise ``ValueError`` if ``problem`` is no Problem, or ``path`` has an attribute ``path``, as a Solution has."""
     if not isinstance(problem, Problem):
         expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
         raise ValueError(f"{expected}, got {shortened(problem)}.")
@@ -200,7 +200,7 @@ def _require_no_overlap(
 
 
 def _require_connected(problem: Problem) -> None:
-    """Raise ``ValueError`` if a goal is in another component of free space than its start, for the inscribed disc."""
+    """Raise ``ValueError`` if obstacles leave no path from start to goal, even for a robot's inscribed disc."""
     workspace, labels = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open

@@ -1,4 +1,4 @@
-"""Array types and protocols of functions, through which oracles, PLRs and planners work together."""
+"""Array types, and protocols of functions, by which oracles, PLRs and planners work together."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class DimensionedFn(Protocol):
 
 @runtime_checkable
 class FunctionOfBox(Protocol):
-    """A function of the points of a Box, its ``domain``."""
+    """A function of the points in a :class:`Box`, its ``domain``."""
 
     @property
     def domain(self) -> Any: ...
@@ -52,7 +52,7 @@ class FunctionOfBox(Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function, such as a PLR, with one piece per box; ``leaf_boxes`` has the corners, ``(leaves, dim)``."""
+    """A function, such as a PLR, defined box by box; ``leaf_boxes``: their lower and upper corners, ``(n, dim)``."""
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -60,7 +60,9 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Points of shortest paths: a point's distance is that to its source plus the source's distance to the goal.
+    """The goal, and the points where shortest paths to it may turn; any path goes straight to one, its *source*.
+
+    A point's distance is the distance to its source plus the source's distance to the goal.
 
     Attributes:
         distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
@@ -73,7 +75,7 @@ class Sources:
 
 
 CellSources: TypeAlias = Any
-"""``plr_jax.geometry.cell_sight.CellSources``: the first sources on shortest paths from cells of the plane.
+"""``plr_jax.geometry.cell_sight.CellSources``: the first turns (or goal) on shortest paths from cells of the plane.
 
 This alias lets code without Shapely name the class.
 """
@@ -81,7 +83,7 @@ This alias lets code without Shapely name the class.
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that can find the sources of cells jointly with other functions of its family."""
+    """A distance function that can share work on cells with a family of functions, such as other goals on its map."""
 
     @property
     def family(self) -> Any:
@@ -89,17 +91,17 @@ class FamilyFn(Protocol):
         ...
 
     def shared_cells(self, domain: Any, lo: Any, hi: Any, /) -> Any:
-        """Return the data of boxes in a domain that all functions of the family share."""
+        """Return data of boxes, relative to a domain, that serve all functions of the family."""
         ...
 
     @staticmethod
     def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Return distinct ``FamilySources``, their keys, and each box's index per function or -1."""
+        """Return distinct sources (first turns) of boxes, their keys, and their index by function and box, or -1."""
         ...
 
     @property
     def sources(self) -> Sources:
-        """The goal, followed by the corners."""
+        """The goal, followed by the corners where paths may turn."""
         ...
 
     def cell_sources(self, domain: Any, /) -> CellSources: ...
@@ -108,10 +110,10 @@ class FamilyFn(Protocol):
 
 @runtime_checkable
 class CellwiseFn(Protocol):
-    """A distance function in the plane that can find the sources of whole cells, without samples."""
+    """A distance function in the plane that knows where paths from any point of a cell may turn first."""
 
     def cell_sources(self, domain: Any, /) -> CellSources:
-        """Return the sources of a Box, taken as one cell."""
+        """Return, for a Box taken as one cell, its sources: the goal or corners to which paths may go straight."""
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -125,17 +127,17 @@ class ChangingFn(CellwiseFn, Protocol):
     def sources(self) -> Sources: ...
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
-        """Return the sources of boxes, each taken as one cell."""
+        """Return, for each box, its sources: the goal or corners to which paths from there may go straight."""
         ...
 
     def changed_since(self, before: Any, /) -> Any:
-        """Return how distances changed, a ``ChangedDistances``; ``ValueError`` if not comparable."""
+        """Return how distances changed since ``before``, an older function; ``ValueError`` if not comparable."""
         ...
 
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function that says which points are free, so that unreachable ones can be told apart."""
+    """A distance function with a test ``is_free``: a point of distance ``inf`` may be free, but without a path."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -143,7 +145,7 @@ class FreeSpaceFn(Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(Protocol):
-    """A distance function whose type can evaluate several of its functions in one call, as a PLR."""
+    """A distance function, such as a PLR, whose class can combine several of them into one function for a team."""
 
     def __call__(self, x: Any, /) -> Any:
         """Return distances of points, as a :data:`DistanceFn`."""
@@ -151,13 +153,13 @@ class StackableDistanceFn(Protocol):
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
-        """Combine a function per robot: joint configurations ``(n, robots, dof)`` to ``(n, robots)``."""
+        """Combine one function per robot: map joint configurations ``(n, robots, dof)`` to ``(n, robots)``."""
         ...
 
 
 @runtime_checkable
 class BoundingFn(Protocol):
-    """A distance function or heuristic that says whether it never exceeds the true value."""
+    """A distance function or heuristic that states whether it is proven never to exceed the true value."""
 
     @property
     def is_lower_bound(self) -> bool: ...
@@ -173,13 +175,13 @@ class Symmetry:
 
     @classmethod
     def about(cls, point: Float[np.ndarray, "dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
-        """Return the isometry with a matrix that leaves a point fixed."""
+        """Return the isometry with the given matrix that leaves the given point fixed."""
         return cls(matrix, point - matrix @ point)
 
 
 @runtime_checkable
 class SymmetricFn(Protocol):
-    """A distance function with known symmetries, and all their compositions: images have equal distances."""
+    """A distance function with known symmetries: a point and its image under them have equal distances."""
 
     @property
     def symmetries(self) -> Sequence[Symmetry]: ...

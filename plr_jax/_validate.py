@@ -1,11 +1,11 @@
-"""An independent check of paths, which shares no code with the collision tests of the planners.
+"""An independent check of paths, which shares almost no code with the collision tests of the planners.
 
 There are two exceptions: where obstacles touch and how that divides free space (the workspace says so), and which way
 a robot turns (part of the meaning of a path).
 
 Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
-bisected in time: the clearance in the middle of a piece, less the distance that the bodies move, bounds it in the
-whole piece. Bisection ends when the smallest clearance is known and every piece is proven free or in collision.
+bisected in time: the clearance in the middle of an interval, less the distance that the bodies move, bounds it in
+the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in collision.
 """
 
 from collections.abc import Sequence
@@ -107,7 +107,7 @@ class _Findings:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot along its path, and the blocked region or another robot along its path."""
+    """A robot with its path, and what it may hit: the blocked region, or another robot with its path."""
 
     who: tuple[int, ...]
     robot: Robot
@@ -118,7 +118,7 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        """Distance that the cores must keep: the sum of the roundings."""
+        """Distance that the bodies' cores must keep: the sum of the radii by which both are rounded."""
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -131,7 +131,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the smallest clearances during motions without turns, in the frame of the other body."""
+        """Return the smallest clearance during each of the given motions without turns, from swept convex hulls."""
         start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -152,7 +152,7 @@ class _Encounter:
 
     @cached_property
     def max_rates(self) -> Float[np.ndarray, "motions"]:
-        """Bound of the change of clearance during each motion."""
+        """Upper bound of the change of clearance during each motion: how far points of both bodies move."""
         velocity = np.diff(self.path[:, :2], axis=0)
         max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
@@ -168,7 +168,6 @@ class _Encounter:
 
     @cached_property
     def findings(self) -> _Findings:
-        """The smallest clearance, and the first motion that collides."""
         at_rows = self.clearances(np.arange(len(self.path), dtype=float))
         smallest = np.minimum(*(at_rows[ends] for ends in _ENDS))
         straight = np.flatnonzero(~self.turns)
@@ -178,7 +177,7 @@ class _Encounter:
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
             bound = middle - self.max_rates[motion] * size / 2
-            # Drop motions that collide, and pieces that are free and cannot have the smallest clearance.
+            # Drop motions that collide, and intervals that are free and cannot have the smallest clearance.
             unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
             size /= 2
@@ -215,7 +214,7 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Pair every robot with the blocked region, and with all robots near enough to collide or to be closest."""
+    """Pair each robot with the blocked region, and with all robots near enough to collide or to be the closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
@@ -245,7 +244,7 @@ def _tolerance(workspace: Workspace) -> float:
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Return lower bounds of the clearances of pairs of robots, from their circumscribed circles, sorted."""
+    """Return, sorted, a lower bound of the clearance of each two robots, from their circles, and both indices."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -293,7 +292,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find the first forbidden passage of a point robot between touching obstacles: robot, time, message."""
+    """Find the first passage of a point robot between obstacles that touch; return robot, time, message, or None."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -316,10 +315,10 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions after which a point, near a contact in ``motion``, is on another side than before.
+    """Return the motions, from the first change of side on, while a point stays near a vertex where obstacles touch.
 
-    Sides are the sectors of free space at the contact. In a disc of half the length of its edges, only the contact
-    joins them, so the point's path in this disc decides.
+    There are none if ``motion`` misses the vertex. Sides are the sectors of free space there. In a disc of half the
+    length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
@@ -365,7 +364,7 @@ def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], rad
 
 
 def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find a robot that does not begin at its start or end at its goal: robot, time, message."""
+    """Find a robot that does not begin at its start or end at its goal; return robot, time, message, or None."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()

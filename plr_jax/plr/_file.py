@@ -21,7 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The content of a PLR file: leaf data in traversal order, of a tree that partitions the (folded) domain."""
+    """The decoded content of a PLR file; with a ``folding`` (mirrors), ``domain`` is the box of mirrored points."""
 
     domain: Box
     leaf: LeafModel
@@ -42,7 +42,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """Encode the tree and the leaf data; the caller may append a proof."""
+    """Encode the tree and the leaf data; return the writer, so that the caller can append a proof."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -80,10 +80,10 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain of the leaves and the leaf parameters, both relative to an origin.
+    """Return the domain of the leaves and the numbers that a query reads for each leaf, both relative to an origin.
 
-    Relative to the domain's corner, both keep full precision. Folded points are relative to the folding's center
-    anyway. Raises ``ValueError`` if 32-bit floats cannot hold them.
+    With the domain's corner as origin, 32-bit floats hold both precisely. If points are folded (mirrored), both are
+    relative to the folding's center instead. Raises ``ValueError`` if 32-bit floats cannot hold them.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
@@ -127,7 +127,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` where no plane exists."""
+    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` if the leaf answers so."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

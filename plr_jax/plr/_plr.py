@@ -46,11 +46,11 @@ from plr_jax.plr.tree import Cells
 
 @jax.tree_util.register_pytree_with_keys_class
 class PLR(FileBacked):
-    """A distance function stored over a binary space partition (Section III of the paper).
+    """A distance function compressed into a tree of cells: each final cell, a *leaf*, stores a simple function.
 
     Made by :func:`construct` or :func:`load`; ``plr(x)`` evaluates it, see :func:`evaluate`. A PLR is immutable and a
     pytree of arrays: a jitted function can close over it or take it as an argument. Inside such a function, it can
-    only be queried; its other properties are for the host.
+    only be queried. Its other properties need concrete arrays. Reference: Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points. With respect to a PLR it raises ``TypeError``, as a PLR has
     integer tables.
@@ -62,20 +62,20 @@ class PLR(FileBacked):
     def __init__(
         self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, build_inputs: BuildInputs | None = None
     ) -> None:
-        """Wrap the padded bytes of a valid file; ``build_inputs``, for :meth:`updated`, is not in the pytree."""
+        """Wrap a valid PLR file, padded by :func:`padded_file`; ``build_inputs`` serve :meth:`updated` alone."""
         self.file = file
         self.build_inputs = build_inputs
 
     @cached_property
     def tables(self) -> Tables:
-        """Lookup tables of a query, derived from ``file``."""
+        """Lookup tables with which a query finds and evaluates the leaf of a point; decoded from ``file``."""
         contents = self._contents
         with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
             return tables_of_contents(contents, np.zeros(contents.domain.dim), self.num_bytes)
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven bounds of distance minus answer, in one column, or one per leaf (padded); None without proof."""
+        """Proven lower and upper bounds (rows) of distance minus answer, per leaf or for all; None without proof."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -85,7 +85,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
-        """The lower bound by the straight line: see :class:`Certificate`."""
+        """Goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if the PLR has none."""
         certificate = self._contents.certificate
         if certificate is None or certificate.straight is None:
             return None
@@ -134,7 +134,7 @@ class PLR(FileBacked):
 
     @property
     def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        """Tables for NumPy's 64-bit points, and how to place the points before they are rounded, if needed."""
+        """Lookup tables for NumPy's 64-bit points, and a function that first wraps or shifts the points, or None."""
         if isinstance(self.file, Tracer):
             return self.tables, None
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -150,7 +150,7 @@ class PLR(FileBacked):
 
     @cached_property
     def tables_from_corner(self) -> Tables:
-        """Tables for points relative to the lower corner of a domain that is far from the origin."""
+        """Lookup tables for points given relative to the lower corner of a domain that is far from the origin."""
         return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -180,7 +180,7 @@ class PLR(FileBacked):
         """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
         It is the first result of :meth:`bounds`. It is not consistent, since it jumps between leaves: a search must
-        reopen a node when it finds a shorter path to it. Lower bounds of several robots can be stacked as PLRs can.
+        reopen a node when it finds a shorter path to it. :meth:`LowerBound.stack` combines those of several robots.
         Raises ``ValueError`` if nothing is proven of the PLR.
         """
         self._require_band()
@@ -196,7 +196,7 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
+        """Proven bound of the largest error where :meth:`bounds` hold, in units of distance; None without a proof.
 
         It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`; see :meth:`bounds`.
         """
@@ -204,10 +204,10 @@ class PLR(FileBacked):
         return None if certificate is None else certificate.max_error
 
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
-        """Return the source of the leaf that holds each point, which is the next waypoint on the way to the goal.
+        """Return each point's next waypoint: the goal or corner (*source*) from which its leaf measures distances.
 
-        Walls are not considered. At a source, the waypoint may be that source itself; for whole paths see
-        :func:`trace`.
+        Only for leaves that are cones. Walls between a point and its waypoint are not considered. At a source, the
+        waypoint may be that source itself; for whole paths see :func:`trace`.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
@@ -227,11 +227,11 @@ class PLR(FileBacked):
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.
 
-        Only for certified cones. A leaf stays if all its distances are proven to have changed by one constant.
+        Only for cones with a proof. A leaf stays if all its distances are proven to have changed by one constant.
         Elsewhere new leaves are searched; the mean error is about that of a new PLR. If the budget is exceeded,
         leaves are merged; if some of it is left, leaves with large errors are refined. A PLR in memory keeps its
-        oracle and what is known of its tree, so later updates are faster than the first one, or than one of a PLR
-        from a file.
+        oracle and intermediate results, so later updates are faster than the first one, or than one of a PLR from a
+        file.
 
         Args:
             oracle: Oracle of the new map for the same goal, such as ``before.with_workspace(workspace)``.
@@ -245,7 +245,7 @@ class PLR(FileBacked):
             does not change.
 
         Raises:
-            ValueError: If this is no PLR of certified cones, the oracles are no visibility graphs of one goal, the
+            ValueError: If this is no PLR of cones with a proof, the oracles are no visibility graphs of one goal, the
                 old oracle is unknown or found to differ from ``before``, or as for :func:`construct`.
         """
         require_updatable(self._contents)
@@ -286,8 +286,8 @@ class PLR(FileBacked):
     def js_module(self) -> str:
         """Return the PLR as the text of a JavaScript module without imports.
 
-        It exports ``distance(x)`` of an array of ``dim`` numbers and, for cones, ``waypoint(x)``. Results equal those
-        of :meth:`numpy` for 64-bit points, bit for bit.
+        It exports ``distance(x)`` of an array of ``dim`` numbers, for cones ``waypoint(x)`` and, with a proof,
+        ``bounds(x)``. Results equal those of :meth:`numpy` for 64-bit points, bit for bit.
         """
         return self.numpy().js_module()
 
@@ -344,7 +344,7 @@ class PLR(FileBacked):
 
     @property
     def folded_domain(self) -> Box:
-        """Closed box that the leaves partition: the domain, or the box of folded points around the center."""
+        """Closed box that the leaves partition: the domain or, with mirror symmetries, the box of mirrored points."""
         return self.container.folded_domain
 
     @cached_property
@@ -354,7 +354,7 @@ class PLR(FileBacked):
 
     @property
     def stored(self) -> Any:
-        """Leaf data of the leaf model, exactly as in the file."""
+        """Decoded data of all leaves, exactly as in the file; the type depends on the leaf model."""
         return self._contents.stored
 
     @property
@@ -369,12 +369,12 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Corners of the leaves, or of all boxes that fold into them; ``ValueError`` if folded axes are rotated."""
+        """Lower and upper corners of all leaves and their mirror images; ``ValueError`` if mirrors are oblique."""
         return self._boxes[:2]
 
     @property
     def leaf_of_box(self) -> Int[np.ndarray, "boxes"]:
-        """Leaf of each box in :attr:`leaf_boxes`."""
+        """Index of the leaf to which each box in :attr:`leaf_boxes` belongs."""
         return self._boxes[2]
 
     @cached_property
@@ -385,7 +385,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves without a reachable sample, which borrow a neighbor's plane or answer ``inf``."""
+        """Leaves without a reachable sample (never cones), which continue a neighbor's plane or answer ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
@@ -395,12 +395,12 @@ class PLR(FileBacked):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's (mean) plane, in the folded domain."""
+        """Gradient of each leaf's plane (its mean plane if curved), in coordinates of :attr:`folded_domain`."""
         return self._planes[1]
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Intercept of every leaf's (mean) plane ``slope . x + intercept``; ``inf`` if the leaf answers ``inf``."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers so."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -438,7 +438,7 @@ def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
 
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
-    """Build the tables of a file of ``num_bytes`` bytes, for points relative to an origin."""
+    """Build the lookup tables of a decoded file of ``num_bytes`` bytes, for points given relative to ``origin``."""
     domain, numbers = relative_to_origin(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
     return tables.with_folding(contents.folding, origin)
@@ -447,7 +447,7 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """A distance function that is nowhere above the true distance; see :attr:`plr_jax.PLR.lower`.
+    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`.
 
     ``is_lower_bound`` is always true: planners may use the function as an admissible heuristic.
     """
@@ -466,7 +466,7 @@ class LowerBound:
 
     @staticmethod
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
-        """Combine the lower bounds of all robots of a team; see :meth:`PLR.stack`."""
+        """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
         first, *_ = fns
@@ -492,12 +492,12 @@ def from_bytes(data: bytes) -> PLR:
 
 
 def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Return the PLR that the file of these leaves decodes to, bit for bit, without decoding it."""
+    """Encode leaf data to a file, and return the PLR that this file decodes to, without decoding it."""
     return _assemble(encode(contents), contents, build_inputs)
 
 
 def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Build a PLR with all that its first query needs; the decoded contents are not kept."""
+    """Build a PLR and its lookup tables from a file and its decoded contents, which are not kept."""
     plr = PLR(padded_file(data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain

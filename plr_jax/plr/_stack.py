@@ -3,9 +3,9 @@
 A stack holds one *trie* of all its PLRs: a lookup table whose levels each consume a few fraction bits (``frame.py``).
 A *page* has an entry for each cell of a regular grid. The first page of a PLR covers the domain; the first pages of
 all PLRs are adjacent. Any other page covers one cell of the level above that several leaves share. An odd entry ``2 *
-i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. Entry ``i`` is also
-``2 * i`` for each row, so that reading a found row again finds it again. A trie takes more reads than pages of one
-PLR (``tables.py``), but less memory.
+i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. The table begins
+with entry ``i`` = ``2 * i`` for every row ``i``: a lookup that ended early repeats its result in later levels.
+A query reads a trie more often than the page table of a single PLR (``tables.py``), but a trie takes less memory.
 
 References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
@@ -43,14 +43,14 @@ from plr_jax.plr.query import evaluate_tables
 from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
-_FIRST_BITS = 10  # index bits of first pages: those of a thousand PLRs take 4 MB, and most points need no other
+_FIRST_BITS = 10  # index bits of first pages: a thousand PLRs' take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages
-_MOST_ENTRIES = 2**25  # most entries of one PLR, by an upper bound that counts shared pages for each leaf
+_MOST_ENTRIES = 2**25  # most entries of one PLR, estimated from above: a page that k leaves share counts k times
 _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Return the fraction bits per axis that are consumed at the end of each level, beginning with zeros."""
+    """Return how many of the ``bits`` of each axis a trie has used before its first level and after each level."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -61,7 +61,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build the trie of partitions, given each leaf's row; raises ``ValueError`` if it is too deep or large."""
+    """Build one lookup table of several PLRs from each leaf's row number; ``ValueError`` if too deep or too large."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -97,7 +97,7 @@ def build_trie(
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[Int[np.ndarray, "dim"]], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of all pages of one partition, level by level; second-level pages begin at ``next_start``."""
+    """Yield a trie's entries for one partition, level by level; the second level begins at entry ``next_start``."""
     page = np.zeros(1, np.int64)  # cells of the level above that have a page in this one
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
@@ -123,7 +123,6 @@ def _page_entries(
     begin: Int[np.ndarray, "dim"],
     end: Int[np.ndarray, "dim"],
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return the page and the entry in it for positions in the grid of a level."""
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -131,14 +130,14 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """PLRs whose tables differ only in values, not in the shapes of domain and folding.
+    """PLRs of one leaf model whose arrays that describe domain and symmetries have equal shapes.
 
     Attributes:
-        arrays: For each array of the tables, the shared array if all are equal, else all of them, flattened.
-        leaf_parameters: Distinct rows of all leaves, laid out as in :class:`Tables`.
-        shapes: Shape of one PLR's array, or None if it is shared.
-        structure: Pytree structure of tables without leaves.
-        first_bits: Fraction bits that the first level of the trie consumes.
+        arrays: For each such array, the array itself if all PLRs have the same, else those of all PLRs, flattened.
+        leaf_parameters: Distinct rows of all leaves' parameters, laid out as in :class:`Tables`.
+        shapes: Shape of one PLR's array in ``arrays``, or None if all have the same array.
+        structure: Pytree structure of a PLR's tables without those of its leaves.
+        first_bits: Number of index bits of the first level of the trie.
     """
 
     arrays: tuple[Array, ...]
@@ -150,7 +149,6 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        """Group PLRs, given their tables with and without leaves."""
         # 1. Share the arrays of domains and foldings that are equal; flatten the others.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
@@ -181,7 +179,7 @@ class _SameShapeGroup:
         return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """Return tables in which each point reads the PLR of its index."""
+        """Return lookup tables with which each point is looked up in PLR number ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
@@ -201,10 +199,10 @@ class PLRStack:
     compiled code.
 
     Attributes:
-        groups: Tables of PLRs whose arrays have equal shapes.
-        group, place: Group of each PLR, and its position there.
+        groups: Merged tables of PLRs of one leaf model whose other arrays have equal shapes.
+        group, place: Group of each PLR, and its index in that group.
         corners: Origin of each PLR's tables, as three 32-bit floats that add up to it; None if all are 0.
-        unresolved: Float types of points that are too coarse for some domain.
+        unresolved: Float types that are too coarse to tell points of some domain apart.
     """
 
     groups: tuple[_SameShapeGroup, ...]
@@ -222,8 +220,8 @@ class PLRStack:
 
         Args:
             index: Indices of PLRs, integers of a shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. NumPy points are placed in 64 bits, as in :func:`evaluate`, if
-                ``index`` is NumPy too.
+            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin and ``index`` is NumPy too,
+                NumPy points are made relative to a corner of the domain in 64 bits.
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
@@ -325,7 +323,7 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside) -> Fl
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
-    """Return the approximate distance at each point (Section III-A of the paper); the same as ``plr(x)``.
+    """Return the approximate distance at each point (Putman et al., Section III-A); the same as ``plr(x)``.
 
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is that of the leaf's function; it is finite
     everywhere and 0 where the distance is ``inf``. It is arbitrary where a coordinate is NaN. An optimizer that may

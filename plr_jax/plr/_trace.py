@@ -1,4 +1,4 @@
-"""Paths to the goal from a PLR of cones alone: from each start to its leaf's source, then from source to source."""
+"""Paths to the goal from a PLR of cones alone: from each start to its leaf's corner, then from corner to corner."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -27,7 +27,7 @@ class TraceStatus(IntEnum):
     OUTSIDE = 1
     """There is no path: the start is outside the domain, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
-    """At a source for which the file has the distance to the goal, but no path."""
+    """At a corner whose distance to the goal is in the file, but not the next corner of its path."""
     CROSSES_WALL = 3
     """A segment is not free in the given workspace."""
 
@@ -54,7 +54,7 @@ class Traces:
 
     @property
     def arrived(self) -> Bool[np.ndarray, "n"]:
-        """Paths that end at the goal and, if walls were tested, cross none."""
+        """Whether each path ends at the goal and, if walls were tested, crosses none."""
         return self.status == TraceStatus.ARRIVED
 
     def __len__(self) -> int:
@@ -68,11 +68,11 @@ class Traces:
 def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
     """Return paths to the goal from many starts, read from a PLR of cones without a map.
 
-    The first segment leads to the source of the start's leaf, every further one to the next source on that source's
-    shortest path. So a path has at most as many segments as there are sources, and is as long as the PLR says. If all
-    sources come from an oracle, paths between them cross no wall; the first segment may, if the start does not see
-    its leaf's source. A start in an obstacle, or cut off from the goal, gets a path through walls: only with a
-    workspace is this detected. Runs on the host, in double precision.
+    A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
+    start's leaf, every further one to the next source on that source's shortest path. So a path has at most as many
+    segments as there are sources, and is as long as the PLR says. If all sources come from an oracle, paths between
+    them cross no wall; the first segment may, if the start does not see its leaf's source. A start in an obstacle, or
+    cut off from the goal, gets a path through walls: only a workspace detects this. Runs in double precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.

@@ -1,4 +1,4 @@
-"""Bit streams and varints: how integers, floats, sets and trees are packed into the bytes of a PLR file."""
+"""Bit streams and varints, by which integers, floats, sets and trees are packed into the bytes of a PLR file."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,7 +24,7 @@ def signed_varint(value: int) -> bytes:
 
 
 class ByteReader:
-    """A reader of header fields; every method raises ``ValueError`` if the data end too early."""
+    """A reader of bytes and varints, one after another; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -55,8 +55,8 @@ class ByteReader:
 
 
 _MAX_WIDTH = 62  # bits; sums and shifts of such integers fit 64 bits
-_COUNT_BITS, _ORDER_BITS = 32, 5
-_MAX_CODED = 2**40
+_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
+_MAX_CODED = 2**40  # integers in Exp-Golomb codes are smaller
 
 
 class BitWriter:
@@ -85,15 +85,15 @@ class BitWriter:
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``: its size, then the gap before each member."""
+        """Append a subset of ``range(n)``, given as a mask: its size, then how many indices each member skips."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        The order ``k`` with the shortest total comes first, in 5 bits. Then follow, for all values, the numbers of
-        extra bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
+        The order ``k`` of the code with the shortest total comes first, in 5 bits. Then follow, for all values, the
+        numbers of extra bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
         """
         if not len(values):
             return self
@@ -122,7 +122,7 @@ class BitWriter:
 
 
 class BitReader:
-    """A reader of what :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
+    """A reader of bits that :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
@@ -149,7 +149,7 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
-        """Read a subset of ``range(size)`` as a mask; raises ``ValueError`` for members beyond it."""
+        """Read a subset of ``range(size)`` as a mask; raises ``ValueError`` if a member is ``size`` or more."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
@@ -188,7 +188,7 @@ class BitReader:
         return bits.astype(np.int64)
 
     def at_end(self) -> bool:
-        """Return whether only zero padding of the last byte is left."""
+        """Return whether everything was read, except for zeros that pad the last byte."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
 
@@ -203,13 +203,13 @@ def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the bytes of a body with this many leaves, if leaf data and proof take ``num_bits`` bits."""
+    """Return the bytes of an encoded tree of ``num_leaves`` leaves and ``num_bits`` bits of leaf data and proof."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append each level of a tree: a bit per node (split?), then split axes in ``ceil(log2(dim))`` bits each."""
+    """Append each level of a tree: a bit per node (1 if split), then split axes in ``ceil(log2(dim))`` bits each."""
     first, num_nodes = 0, 1
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)
@@ -218,7 +218,7 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
-    """Read a tree; raises ``ValueError`` if it is too deep or splits an unknown axis."""
+    """Read what :func:`write_tree` wrote; raise ``ValueError`` if a tree is too deep or splits an unknown axis."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

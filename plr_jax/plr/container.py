@@ -31,14 +31,14 @@ GRID_MAGIC = b"PGP\n"
 """First bytes of files of distances between cells of a grid (see ``pairs/grid_pairs.py``)."""
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of earlier versions
 MOST_LAYERS = 32
-_MOST_IN_BITS = 15
-_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7
+_MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
+_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
 _CRC = struct.Struct("<I")
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: a leaf model's code, a bit stream and a kind of proof."""
+    """A layer of a file: a leaf model's code, the encoded leaves (``body``) and the code of a kind of proof."""
 
     leaf_code: int
     body: bytes
@@ -122,7 +122,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Container:
-    """A decoded PLR file; if a file of pairs is cut off at a mark, ``layers`` are the complete ones."""
+    """The header and layers of a file; if the file is cut off after a layer, ``layers`` are the complete ones."""
 
     domain: Box
     layers: tuple[Layer, ...]
@@ -135,7 +135,7 @@ class Container:
 
     @property
     def folded_domain(self) -> Box:
-        """Box that the leaves partition: the box of folded points, or the domain if nothing is folded."""
+        """Box that the leaves partition: the box of mirrored points if there is a ``folding``, else the domain."""
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
@@ -151,7 +151,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file, which may be cut off at a mark; raises ``ValueError`` if it is invalid."""
+        """Decode a file, which may be cut off after any layer; raises ``ValueError`` if it is invalid."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
@@ -183,7 +183,7 @@ def require_label(label: str) -> None:
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
-    """Return the bytes of a file with one layer, without its bit stream."""
+    """Return the size in bytes of header and checksum in a file with one layer."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
 
 
@@ -191,12 +191,12 @@ _START = 2**12  # bytes read before the magic is checked
 
 
 def holds_pairs(data: bytes) -> bool:
-    """Return whether a file holds distances of pairs; raises ``ValueError`` if it is no PLR file."""
+    """Return whether a file holds distances between any two points; raises ``ValueError`` if it is no PLR file."""
     return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read a file, but at most one byte more than the limit, and only the start if its magic is wrong."""
+    """Read a file, but at most ``MOST_BYTES + 1`` bytes, and only its start if that is not a PLR file's."""
     with open(path, "rb") as file:
         data = file.read(_START)
         if data.startswith((MAGIC, GRID_MAGIC)):  # any other file may be endless, such as a device
@@ -208,7 +208,7 @@ _ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
 
 
 def folding_to_bytes(folding: Folding) -> bytes:
-    """Encode a folding; floats are little-endian.
+    """Encode a folding, a map of points by mirror symmetries; floats are little-endian.
 
     f64     the center
     u8      1 if the folded axes are rotated, else 0
@@ -288,7 +288,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    """Return numbers as integers over one power of ten, or None where that is not exact."""
+    """Encode numbers as integers over one power of ten; return None if that is not exact."""
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
@@ -304,13 +304,13 @@ _SIZE_BYTES = 4
 
 
 class FileBacked:
-    """A base of classes whose only data are the bytes of a file: PLRs and pairs."""
+    """A base class of objects stored as the bytes of a file: PLRs, and distances between any two points."""
 
     tables: Any
     file: Any
 
     def to_bytes(self) -> bytes:
-        """Return the bytes that :func:`save` writes; raises ``ValueError`` for stacked arrays of several objects."""
+        """Return the bytes that :func:`save` writes; ``ValueError`` if arrays of several objects were stacked."""
         if np.ndim(self.file) != 1:
             raise ValueError(
                 f"to_bytes needs a single object, but its arrays are stacked: file has shape {self.file.shape}."
@@ -333,7 +333,7 @@ class FileBacked:
     def with_label(self, label: str) -> Any:
         """Return a copy with another label; answers do not change.
 
-        The label is a text of at most 1,000 bytes in UTF-8, else ``ValueError`` is raised. The file grows by as much.
+        The label is a text of at most 1,000 bytes in UTF-8, else ``ValueError`` is raised. The file stores it.
         """
         require_label(label)
         if label == self.label:
@@ -350,7 +350,7 @@ class FileBacked:
 
 
 def padded_file(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """Return a file's bytes, zero padding to one of few array sizes, and the number of bytes as a 32-bit integer."""
+    """Return an array of a file's bytes, zeros up to a power of two, and at its end the number of bytes (4 bytes)."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
     return file

@@ -47,7 +47,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Bounding box of all folded points, which the leaves partition."""
+        """Box that contains all folded (shifted, rotated, mirrored) points; the leaves partition it."""
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
@@ -71,7 +71,7 @@ class Folding:
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        """Fold points; results are clipped to the box along axes that are not periodic."""
+        """Shift, rotate and mirror points; along axes that are not periodic, clip the results to ``box``."""
         z = np.asarray(x, np.float64) - self.center
         z = z @ self.axes.T if self.is_turned else z
         for mirror, pivot in zip(self.mirrors, self.pivots, strict=True):
@@ -79,7 +79,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of mirrors, one preimage of every folded point and whether it lies in the domain."""
+        """Yield, for each subset of mirrors, a preimage of each folded point and whether the domain contains it."""
         for chosen in product((False, True), repeat=len(self.mirrors)):
             reversals = np.sum([m for m, use in zip(self.mirrors, chosen, strict=True) if use], axis=0)
             mirrored = np.where(np.mod(reversals, 2) == 1, -z, z)
@@ -106,7 +106,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return the boxes that fold into given leaf boxes, and their leaves; ``ValueError`` if axes are rotated."""
+        """Return corners of all boxes mirrored to leaf boxes, and their leaves; ``ValueError`` for rotated axes."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
@@ -130,7 +130,7 @@ _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the d
 
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
-    """Return the folding that halves a domain most often, or None if no symmetry of the function shrinks it."""
+    """Return a map by a distance function's mirror symmetries into a smaller part of the domain, or None."""
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
@@ -179,7 +179,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    """Reduce mirrors to row echelon form modulo 2, so that each has a pivot; drop mirrors that cannot have one."""
+    """Combine mirrors until each alone reverses some axis, its pivot (row echelon form modulo 2); drop the rest."""
     rows, done = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[done:, axis])

@@ -1,7 +1,8 @@
 """The domain in 32-bit floats and the sizes of lookup tables, which all readers of a PLR share; free of JAX.
 
 The *fraction bits* of a point along an axis are its position in units of ``2**-23`` of the domain's width; the
-highest of them identify its dyadic cell. A *slot* is a cell of a regular dyadic grid, a *block* one of a coarse grid.
+highest of them identify its dyadic cell. A *block* is a cell of a coarse grid (``2**block_bits`` cells per axis), a
+*slot* a cell of the finer grid in a block, which has one entry in a lookup table.
 """
 
 from enum import IntEnum
@@ -21,13 +22,13 @@ MIN_CLASS = 8  # smallest size class of a file, 256 bytes
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, bits of the flat table); MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
-_DEEP_BITS = 28  # most fraction bits over all axes, beyond the classes above
+_DEEP_BITS = 28  # most halvings over all axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 13  # most splits along an axis with pages, so that blocks and pages stay small
-_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27  # log2: per byte, least, most
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return the bits along each axis that each block's own table needs to separate the leaves it meets."""
+    """Return how often each block (cell of a grid of ``2**block_bits`` cells) is halved to separate its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -36,7 +37,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return the number of overlapping pairs of leaf and block."""
+    """Return how many pairs of a leaf and a block (cell of a grid of ``2**block_bits`` cells per axis) overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -45,7 +46,7 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return overlapping pairs of leaf and block, with the leaf's first slot and number of slots in the block."""
+    """Return, for leaves and blocks that overlap, both indices, and first cell and extent in the block's grid."""
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -56,7 +57,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return the leaf's index and the block's position for all overlapping pairs of leaf and block."""
+    """Return the leaf's index and the block's place for each overlapping leaf and block (cell of a coarse grid)."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -68,7 +69,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate the integer points of many boxes; return the box and the coordinates of each point."""
+    """Enumerate the integer points of many boxes; return the index of each point's box, and its coordinates."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -100,17 +101,17 @@ def byte_class(num_bytes: int) -> int:
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return how many leaves of at least ``least_bytes`` bytes fit into a file of the size class."""
+    """Return the most leaves, of at least ``least_bytes`` bytes each, in a file of ``2**of_class`` bytes."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return the bits of the flat table for a size class with room for this many leaves."""
+    """Return log2 of the least number of lookup-table entries for a size class with room for this many leaves."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis, in one size class or (None) in all."""
+    """Return how often a cell may be halved along one axis in files of a size class, or (None) of any size."""
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -118,7 +119,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return the most table entries for a file of this size; the limit bounds the memory that loading takes."""
+    """Return the most lookup-table entries for a file of this size; the limit bounds the memory of loading."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
@@ -129,7 +130,7 @@ _FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}
 LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
 Corner: TypeAlias = Float[np.ndarray, "dim"]
-"""Origin of coordinates."""
+"""A point, such as the domain's lower corner, relative to which other points are given."""
 
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 """What a query returns outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
@@ -142,11 +143,11 @@ def as_outside(outside: str) -> Outside:
 
 
 class Frame(IntEnum):
-    """Rows of a frame, the array that describes a domain in 32-bit floats.
+    """Rows of a frame: the array ``(7, dim)`` that describes a domain in 32-bit floats.
 
     Attributes:
         LO, HI: Corners, rounded outward.
-        LO_REST, HI_REST: Distances from ``LO`` and ``HI`` to the exact corners.
+        LO_REST, HI_REST: Distances (at least 0) from ``LO`` and ``HI`` to the exact corners.
         START, SCALE: ``1 - LO_REST / width`` and ``1 / width``.
         TOP: Largest fraction of the width for which ``TOP + START`` stays below 2.
     """
@@ -175,7 +176,7 @@ def is_far(domain: Box) -> bool:
 
 
 def unresolved_types(domain: Box) -> tuple[str, ...]:
-    """Return the float types that are too coarse to tell points of the domain apart."""
+    """Return the names of float types that are too coarse to tell points of the domain apart, such as "float32"."""
     apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
     places = (domain.width / apart).min()
     return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
@@ -215,14 +216,14 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """Return the lower corner of a far domain (see :func:`is_far`), the origin of its points; else None."""
+    """Return, if the domain is far from 0 (:func:`is_far`), its lower corner, the origin of its points; else None."""
     return domain.lo if is_far(domain) else None
 
 
 def folding_numbers(
     folding: Folding, origin: Corner
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center relative to an origin, with its rounding error, and the corners of the folded box.
+    """Return a folding's center relative to ``origin`` (rows: rounded, rest), and the corners of its folded box.
 
     Corners are rounded inward, so that points clipped to them are inside, and infinite along periodic axes.
     """

@@ -1,7 +1,7 @@
-"""Evaluation of PLRs in JAX, for one PLR or for a team's.
+"""Evaluation of PLRs in JAX, for one PLR or for one PLR per robot of a team.
 
-A query folds and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and evaluates its
-function.
+A query folds (mirrors) and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and
+evaluates the leaf's function.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables,
 
 
 def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Float[Array, "*batch"]:
-    """Return the leaf's value at each point; NaN for NaN, and outside the closed domain as ``outside`` says.
+    """Return the PLR's distance at each point; NaN for NaN, and outside the closed domain as ``outside`` says.
 
     Raises ``ValueError`` for points of a wrong shape or type; the check does not depend on their values.
     """
@@ -56,7 +56,10 @@ def _as_float_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 def bounds_of_tables(
     tables: Tables, band: Float[Array, "2 rows"], straight: Float[Array, "_"] | None, x: Array
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Return proven lower (at least 0) and upper bounds of the distance: value plus band, rounded outward."""
+    """Return proven lower (at least 0) and upper bounds: answer plus bounds of its error (``band``), rounded outward.
+
+    ``straight`` holds goal, rate and margin of a second lower bound, ``rate * |x - goal| - margin``.
+    """
     value = evaluate_tables(tables, x)
     if band.shape[1] == 1:
         below, above = band[0, 0], band[1, 0]
@@ -82,7 +85,7 @@ def bounds_of_tables(
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
-    """Return the source of each point's leaf; NaN outside the closed domain and for NaN."""
+    """Return the next waypoint that each point's leaf stores; NaN outside the closed domain and for NaN."""
     x = jax.lax.stop_gradient(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
     numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
@@ -92,7 +95,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Return the leaf of each point, up to rounding across borders; arbitrary outside the domain and for NaN."""
+    """Return the leaf's number for each point, up to rounding across borders; arbitrary outside and for NaN."""
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
@@ -100,7 +103,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
 
 def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Return the row of each wrapped point's leaf parameters: its slot if there are pages, else its leaf."""
+    """Return each wrapped point's row of ``Tables.leaf_parameters``: the leaf's number or, with pages, the slot's."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -117,7 +120,7 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
 def _index_in_block(
     blocks: Blocks, fractions: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
 ) -> UInt32[Array, "*batch"]:
-    """Return the index into ``leaf_of_slot`` for points in the given blocks."""
+    """Return the index into ``Tables.leaf_of_slot`` for points with given fraction bits in given blocks."""
     index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -135,7 +138,7 @@ def _index_in_block(
 def _fold(
     window: FoldedDomain, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch dim"]:
-    """Fold points; points ``outside`` the domain are sent to the center, without gradient."""
+    """Shift, rotate and mirror points; points ``outside`` the domain are sent to the center, without gradient."""
     axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
     z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -156,7 +159,7 @@ def _fold(
 def outside_domain(
     tables: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Return whether wrapped points are outside the closed domain, and the answers there: ``inf``, NaN for NaN."""
+    """Return whether wrapped points are outside the closed domain, and what they get: ``inf``, or NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):
@@ -175,7 +178,7 @@ def outside_domain(
 def _clamp(
     window: Tables | FoldedDomain, x: Float[Array, "*batch dim"]
 ) -> tuple[Float[Array, "*batch dim"], Float[Array, "*#batch"]]:
-    """Return the nearest point of the domain and the distance to it; points that are not finite stay."""
+    """Return the nearest point of the domain and the distance to it; points that are not finite are unchanged."""
     is_finite = jnp.isfinite(x).all(axis=-1)
     nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
     for axis in range(window.dim):
@@ -223,7 +226,7 @@ def _wrap(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch
 def _value(
     tables: Tables, row: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """Return the leaf's value at each point; points ``outside`` the domain get an arbitrary number."""
+    """Evaluate the leaf in each ``row`` at the point; points ``outside`` the domain get an arbitrary number."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
@@ -281,7 +284,7 @@ def _zero_tangent(primals, tangents):
 
 @jax.custom_jvp
 def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Return the square root; its derivative at 0, which is at a source, counts as 0."""
+    """Return the square root; its derivative at 0 (at the apex of a cone) counts as 0."""
     return jnp.sqrt(square)
 
 
@@ -292,9 +295,9 @@ def _root_tangent(primals, tangents):
 
 
 def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
-    """Return a point's position along an axis in units of ``2**-23`` of the domain's width, as an integer of 23 bits.
+    """Return an integer whose lowest 23 bits are a point's place along an axis, in ``2**-23`` of the domain's width.
 
-    These are the low bits of ``1 + position`` as a 32-bit float, with other bits above them. The upper edge gets the
+    These are the low bits of ``1 + place`` as a 32-bit float, with other bits above them. The upper edge gets the
     largest value, as it belongs to the last cell.
     """
     lo, start, scale, top = (
@@ -302,7 +305,7 @@ def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> 
     )
     share = (x[..., axis] - lo) * scale
     # The bound separates product and sum. If a compiler fused them in only one part of a query, a point near a border
-    # could get the block of one cell and the slot of the other.
+    # could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
     return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
@@ -311,14 +314,14 @@ def _fraction_bits(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> 
 def _join_bits(
     fractions: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
 ) -> UInt32[Array, "*batch"]:
-    """Concatenate the selected fraction bits of all axes to one index."""
+    """Concatenate the fraction bits that ``mask`` selects on each axis, shifted ``right``, to one index."""
     return reduce(
         jnp.bitwise_or, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)]
     )
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Return each point's row of leaf parameters by descending a trie level by level.
+    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level.
 
     XLA should compile each level to a loop of its own, so that reads of many points overlap; in one fused loop the
     reads of a point wait for one another. A condition keeps XLA from fusing. It always holds, but XLA cannot know
@@ -368,7 +371,7 @@ bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A step on the host, in 64 bits: wrap points around periodic axes, then subtract a far domain's corner."""
+    """A function that wraps 64-bit points around periodic axes, then subtracts a corner; None leaves a step out."""
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None
@@ -386,7 +389,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A team's PLRs as one function of joint configurations; robots with a band get its lower bound."""
+    """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
 
     tables: tuple[Tables, ...]
     bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]
@@ -413,7 +416,7 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """Pad a batch to a compiled size, in the precision of JAX's floats, and place its points."""
+        """Pad a batch to a size that is compiled once, in the precision of JAX's floats; wrap or shift its points."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
@@ -429,7 +432,7 @@ def _evaluate(
     bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...],
     q: Float[Array, "n robots dof"],
 ) -> tuple[Float[Array, "n"], ...]:
-    """Return distances robot by robot: stacked in one array, XLA would compute them in one slower loop."""
+    """Return one array per robot: for a single array, XLA would compute all robots in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
         evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]

@@ -1,6 +1,6 @@
 """Lookup tables that map a point to its leaf by bit arithmetic, without descending a tree.
 
-A point's slot is given by the highest fraction bits of its coordinates (see ``frame.py``). There are three layouts:
+The highest fraction bits of a point (``frame.py``) are its *slot*, a cell of a regular grid. There are three layouts:
 
 -   A *flat* table has one entry for each slot of the finest grid.
 -   *Blocks*, for deep trees: each cell of a coarse grid has its own table, as fine as its leaves need. Used above
@@ -54,10 +54,10 @@ from plr_jax.plr.tree import Cells
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """Tables of several PLRs in one array, ``entries``: of rows, of first pages, of other pages; see ``_stack.py``.
+    """A lookup table of several PLRs in one array, ``entries``, read level by level; see ``_stack.py``.
 
-    ``bits`` are each level's mask of fraction bits and right shift; ``start`` is the first page of one PLR, or each
-    point's.
+    ``bits`` are, for each level, a mask of a point's fraction bits and their right shift in an index. ``start`` is
+    the index of the first page of one PLR, or of each point's PLR.
     """
 
     entries: UInt32[Array, "entries"]
@@ -67,7 +67,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for an array that differs from point to point: a scalar index gives one value per point.
+    """A stand-in for an array that each point has of its own: indexing with integers gives one value per point.
 
     Each point's array has the same ``shape`` and begins at ``start`` in ``flat``; values are cast to ``dtype`` when
     read.
@@ -100,12 +100,13 @@ class PerPointTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class FoldedDomain:
-    """A domain whose points are folded before their leaves are looked up.
+    """A domain whose points are folded (shifted, rotated, mirrored) before their leaves are looked up.
 
     Attributes:
-        center, corners: See :func:`folding_numbers`.
+        frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
+        center, corners: Center of the folding and box of folded points; see :func:`folding_numbers`.
         axes: Folded axes, one per row; None if they are the domain's.
-        mirrors: Pivot and reversed axes of each mirror.
+        mirrors: For each mirror, its pivot and all axes that it reverses: points with a negative pivot are mirrored.
     """
 
     frame: Float[Array, "7 dim"] | PerPointTable
@@ -126,14 +127,15 @@ _MAX_BLOCK_BITS = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The coarse level of a two-level table.
+    """The coarse level of a two-level lookup table: each *block*, a cell of a coarse grid, has its own finer table.
 
-    A block's *word* holds, from its lowest bit, the bits that the block's own table resolves along each axis,
-    ``width`` bits per axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather,
-    the main cost of a query. Axes that do not fit into the first word come in further words.
+    A block's *word* holds, from its lowest bit, the number of index bits of its table along each axis, in ``width``
+    bits per axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather, the main
+    cost of a query. Axes that do not fit into the first word come in further words.
 
     Attributes:
-        shift: Fraction bits along each axis below the block.
+        words: Arrays of words, one per block.
+        shift: Number of a point's fraction bits along each axis below those that identify the block.
         axes: Number of axes that each array of words describes.
     """
 
@@ -146,7 +148,7 @@ class Blocks:
 def pack_blocks(
     shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
 ) -> Blocks:
-    """Pack the shapes and offsets of all blocks' own tables into words."""
+    """Pack the index bits along each axis (``shape``) and starts (``offset``) of all blocks' tables into words."""
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -162,7 +164,7 @@ def pack_blocks(
 
 
 def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Return the bits of blocks along each axis that minimize the bytes of words and of blocks' own tables."""
+    """Return how often to halve the domain along each axis into blocks, so that a two-level table is smallest."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
@@ -186,7 +188,7 @@ def leaves_of_slots(
     shape: Int[np.ndarray, "blocks dim"],
     offset: Int[np.ndarray, "blocks_plus_one"],
 ) -> UInt32[np.ndarray, "slots"]:
-    """Return the leaf of every slot of all blocks' own tables.
+    """Return the leaf number in each entry (slot) of the lookup tables of all blocks, one after another.
 
     A leaf is written at the first slot of each of its runs along the last axis, and repeated up to the next run.
     """
@@ -208,12 +210,12 @@ _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """The coarse level of a table with pages.
+    """The coarse level of a lookup table with *pages*: tables of those blocks that several leaves share.
 
-    The first slots are the leaves themselves. A block that one leaf covers points to that leaf's slot; most blocks
-    do. Any other block has a *page*: slots for a grid as fine as its leaves need. The slot of a point is the page's
-    start plus the masked fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill
-    them.
+    A block is a cell of a coarse grid; a slot is an entry of the table, with the parameters of a leaf. The first
+    slots are the leaves themselves. Most blocks are covered by one leaf and point to its slot. Any other block has a
+    page: slots for a grid as fine as its leaves need. The slot of a point is the page's start plus the masked
+    fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill them.
 
     Attributes:
         words: For each block, a mask of the fraction bits that index its page and, above it, the page's first slot.
@@ -228,10 +230,10 @@ class Pages:
 def build_pages(
     cells: Cells, most_slots: int
 ) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
-    """Build pages on the coarsest blocks for which ``most_slots`` slots suffice; return None if no blocks do.
+    """Build a table with pages on the coarsest blocks for which ``most_slots`` entries suffice; None if none do.
 
     Returns:
-        The pages, the bits of blocks along each axis, and the leaf of every slot.
+        The pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
@@ -270,7 +272,7 @@ def build_pages(
 def _place_pages(
     shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """Return the first slot of every block's page (0 if it has none) and the end of the last page.
+    """Return where the page (table) of every block starts, 0 if it has none, and the end of the last page.
 
     A buddy allocator, interleaved: pages are placed by decreasing size, equal shapes together. Each takes the
     smallest free room that holds it, else a new room of the finest grid. A room that is too large is halved along one
@@ -323,8 +325,8 @@ class Tables:
 
     Attributes:
         frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
-        bits: For each axis, a mask of the fraction bits that make the slot (flat table) or the block, and their right
-            shift in the index.
+        bits: For each axis, a mask of the fraction bits that identify the entry (flat table) or the block, and their
+            right shift in the index.
         blocks, pages: Coarse level of a two-level table; both are None for a flat table.
         leaf_parameters: Numbers that the leaf model evaluates, for each leaf or, with pages, for each slot. Small
             tables have one row per number, which takes the least arithmetic; large ones concatenate each leaf's
@@ -350,7 +352,7 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables for points that are relative to ``origin`` and are folded first."""
+        """Return tables for points that are given relative to ``origin`` and are folded (mirrored) first."""
         if folding is None:
             return self
         domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
@@ -368,10 +370,10 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables; raises ``ValueError`` if leaves are too deep for a file of ``num_bytes`` bytes."""
+    """Build lookup tables from leaf parameters; ``ValueError`` if leaves are too deep for a file of that size."""
     of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
-    # Large tables are padded to their own leaves, not to those of the class.
+    # Large tables are padded for their own number of leaves, not for the most leaves of the class.
     rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
     numbers, bits, blocks, paged = numbers.astype(np.float32), cells.depth.max(axis=0), None, None
     # 1. Try pages.

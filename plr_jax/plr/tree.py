@@ -16,7 +16,7 @@ PLACING = 2.0**-21
 
 
 class Rows:
-    """A dataclass base whose array fields are columns, indexed row by row; other fields are shared by all rows."""
+    """A base of dataclasses whose array fields have one row per item; indexing picks the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -65,7 +65,7 @@ class Cells(Rows):
         return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return boxes that contain every point a 32-bit query may assign to each cell."""
+        """Return lower and upper corners of boxes that contain every point a 32-bit query may assign to each cell."""
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -73,7 +73,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Map local coordinates ``u``, where ``[-1, 1]`` spans a cell, to points of the domain in every cell."""
+        """Return, for each cell, the points with given local coordinates ``u``; ``[-1, 1]`` spans the cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow where the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -116,10 +116,10 @@ class Tree:
 
     Attributes:
         cells: Cell of each node.
-        axis: Axis along which each node is split, 0 for a leaf.
+        axis: Axis along which each node is halved, 0 for a leaf.
         child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
         node_of_leaf: Node of each leaf, in left-to-right traversal order.
-        splits: Split nodes of each level.
+        splits: Indices of the split nodes, one array for each level.
         order: For each leaf in traversal order, its index among the cells that :func:`tree_of` was given.
     """
 
@@ -136,18 +136,18 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Traversal index of each node that is a leaf, -1 for split nodes."""
+        """Number of the leaf, from left to right, of each node that is a leaf; -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
 
     def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
-        """Return both children of each split node, adjacent to each other."""
+        """Return the indices of both children of each split node, the lower child first."""
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
 def tree_of(cells: Cells) -> Tree:
-    """Build the tree of given leaves; nodes are split along the first axis on which all their leaves are narrower."""
+    """Build the tree with given leaves; a node is split along the first axis on which all its leaves are narrower."""
     node = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)
@@ -175,7 +175,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
-    """Build a tree from the split axes of its nodes in level order, -1 for a leaf."""
+    """Build a tree from the split axes of its nodes, one array per level from the root; -1 marks a leaf."""
     num_nodes = sum(map(len, axes))
     child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0

@@ -21,11 +21,11 @@ Moves = Literal["any-angle", 4, 8]
 class GridDistance:
     """The distance from any point of a grid to a goal; made by :func:`grid_distance`.
 
-    It is a pytree of arrays whose shapes depend only on the shape of the grid.
+    It is a pytree of arrays whose shapes depend only on the shape of the grid, ``moves`` and ``max_corners``.
 
     Attributes:
-        is_complete: Whether the map has at most ``max_corners`` corners; if not, distances are NaN. Always true for
-            ``moves`` of 4 or 8.
+        is_complete: Whether the map has at most ``max_corners`` corners at which paths may bend; if not, distances
+            are NaN. Always true for ``moves`` of 4 or 8.
         is_nan: Whether a coordinate of the goal is NaN; all distances are NaN then.
         shape: Rows and columns of the grid.
     """
@@ -37,7 +37,7 @@ class GridDistance:
 
     @property
     def cells(self) -> Float[Array, "h w"]:
-        """Distances of the centers of all cells, computed at each access."""
+        """Distances of the centers of all cells to the goal, computed at each access."""
         h, w = self.shape
         return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
 
@@ -49,7 +49,8 @@ class GridDistance:
 
         Returns:
             Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
-            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN.
+            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN, or if
+            ``is_complete`` is false.
 
         Raises:
             ValueError: If ``x`` has a wrong shape or is not real.
@@ -67,14 +68,14 @@ class GridDistance:
 class GridDistances:
     """The distance between any two points of a grid; made by :func:`grid_distance` without a goal.
 
-    ``is_complete`` is that of :class:`GridDistance`.
+    ``is_complete`` tells whether the map has at most ``max_corners`` corners; if not, distances are NaN.
     """
 
     paths: StepPairs | CornerPairs
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the distance between the points of each pair; see :meth:`GridDistance.__call__`.
+        """Return the distance from each point ``x`` to the point ``y`` in its place; see :class:`GridDistance`.
 
         Args:
             x: Points ``(x, y)``, ``(..., 2)``.
@@ -103,7 +104,7 @@ def grid_distance(
 def grid_distance(
     free: ArrayLike, goal: ArrayLike | None, *, moves: Moves = "any-angle", max_corners: int | None = None
 ) -> GridDistance | GridDistances:
-    """Compute lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
+    """Return a function that measures shortest paths on a grid of free and blocked cells, also inside ``jit``.
 
     Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
     ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers

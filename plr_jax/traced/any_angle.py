@@ -2,7 +2,7 @@
 
 1.  Visibility: the cells that a segment crosses, row by row, are compared as bits with the blocked cells. Segments
     run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
-    within a fourth of it. A segment that grazes a corner may so count as blocked; the path through that corner is as
+    within a fourth of it. So a segment that grazes a corner may count as blocked; the path through that corner is as
     long. If both ends are independent of the map, the crossed cells are computed once, on the host.
 2.  Shortest paths from corner to corner, by relaxation.
 """
@@ -25,18 +25,18 @@ Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12
-"""Most slots for corners; the distances between so many take 64 MB."""
+"""Most corners of a map; the distances between so many take 64 MB."""
 MAX_LATTICE = 2**8
-"""Up to so many lattice corners, all have a slot by default; of more, half."""
+"""By default, tables have room for all corners of cells inside a grid, if at most this many, else for half."""
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return the least distance of points from the sides of cells: 32 float spacings at the largest coordinate."""
+    """Return how far points that are moved inside a cell stay from its sides: 32 rounding errors of coordinates."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Move points inside their (up to two) free cells; return also whether there is a free cell."""
+    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one."""
     *cells, is_free = free_cells(free, x)
     cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
@@ -44,7 +44,7 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
-    """Return whether segments between points inside free cells cross no blocked cell."""
+    """Return whether segments between points that lie inside free cells cross no blocked cell (packed bits)."""
     hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
@@ -61,7 +61,10 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield each row's first and last crossed column, and whether it is crossed; no end may be on a row border."""
+    """Yield, row by row, the first and last column that segments cross, and whether they cross the row.
+
+    Columns are widened by ``slack``. No segment may end on a border between rows. ``xp`` is NumPy or jax.numpy.
+    """
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
@@ -88,7 +91,7 @@ def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Arr
 
 @lru_cache(maxsize=8)
 def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
-    """Return the corners of cells inside the grid, row by row."""
+    """Return the points ``(x, y)`` inside the grid at which four cells meet, row by row."""
     rows, columns = np.mgrid[1 : shape[0], 1 : shape[1]].reshape(2, -1)
     return np.stack([columns, rows], axis=1).astype(float)
 
@@ -100,7 +103,7 @@ def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
 
 @lru_cache(maxsize=16)
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
-    """Return the cells, as bits, that segments cross to each corner from each corner or cell center.
+    """Return the cells, as bits, that segments cross from each cell corner (or cell center) to each cell corner.
 
     A segment through a corner counts as crossing all four cells there: if one is blocked, a path through the corner
     is as long; if two are, no path passes. A segment along a grid line counts as running on its left, so two corners
@@ -123,7 +126,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    """Return, of two end points, the one on the side of ``x``."""
+    """Return the one of two points (``ends``) on whose side of their bisector ``x`` lies."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -134,7 +137,7 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend.
 
-    Slot ``i`` holds the lattice corner ``index[i]`` if ``is_convex[i]``; other slots are padding.
+    Entry ``i`` is point number ``index[i]`` of :func:`lattice` if ``is_convex[i]``; other entries are padding.
     """
 
     free: Bool[Array, "*maps h w"]
@@ -143,7 +146,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether every lattice corner has a slot, so that :func:`crossed_cells` applies."""
+        """Whether every corner of cells inside the grid has an entry, so that :func:`crossed_cells` applies."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -164,13 +167,13 @@ class Corners:
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, "n"]:
-        """Return whether points that were moved inside free cells see each other."""
+        """Return whether points, each moved inside up to two free cells, see each other past blocked cells."""
         return is_unobstructed(
             pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners are visible from points that were moved inside free cells."""
+        """Return which convex corners are visible from points, each moved inside up to two free cells."""
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
@@ -182,7 +185,7 @@ class Corners:
         return self.seen_from(inside_free_cells(self.free, jnp.asarray(cell_centers(self.free.shape), dtype))[0])
 
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
-        """Return the distance between corners that see each other; ``inf`` for all other pairs."""
+        """Return the matrix of distances between convex corners that see each other; ``inf`` for all other pairs."""
         if self._is_lattice:
             left, blocked = crossed_cells(self.free.shape, from_centers=False), pack(~self.free.reshape(1, -1))[0]
             seen = are_unobstructed(left, blocked) | are_unobstructed(left.swapaxes(1, 2), blocked)
@@ -195,7 +198,7 @@ class Corners:
 
 
 def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
-    """Return the convex corners in ``count`` slots, and whether all fit."""
+    """Return up to ``count`` convex corners of blocked cells, and whether there are no more."""
     # Pad to at least two rows and columns, so that there is a lattice corner; cells beyond the grid are blocked.
     free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
@@ -215,7 +218,7 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
-    """Return the distance of each corner to the goal, given the distances of the corners that see the goal."""
+    """Return each corner's distance to the goal, given edge lengths and distances of corners that see the goal."""
 
     def relaxed(state):
         old, _ = state
@@ -240,7 +243,7 @@ def _(primals, tangents):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPaths:
-    """Distances to a goal through convex corners, whose own distances to the goal are stored."""
+    """Distances to a goal, straight or through convex corners, whose own distances to the goal are stored."""
 
     corners: Corners
     distances: Float[Array, "*maps corners"]
@@ -278,7 +281,7 @@ class CornerPaths:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPairs:
-    """Distances between any two points through convex corners; ``between`` has those of pairs of corners."""
+    """Distances between any two points, straight or through convex corners; ``between``: those of two corners."""
 
     corners: Corners
     between: Float[Array, "*maps corners corners"]

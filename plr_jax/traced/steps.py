@@ -39,14 +39,14 @@ def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
-    """Return the bits of a grid in which only one cell is set."""
+    """Return a grid of packed bits in which only one cell is set."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
 
 
 def neighbors_of(words: Grids) -> Grids:
-    """Return the 4-neighbors of the cells that are set."""
+    """Return packed grids of the cells that share a side with a cell set in the given packed grids."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
         none = jnp.zeros_like(words[:, :1])
@@ -57,10 +57,9 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns of two free cells that hold each point, sides included, and whether one exists.
+    """Return rows and columns of the first and last free cell that contain each point, and whether there is one.
 
-    They are the first and last of up to four such cells: both, where two free and two blocked cells meet at the
-    point.
+    Up to four closed cells contain a point. If only two are free, diagonally, these are returned.
     """
     size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
@@ -79,7 +78,7 @@ def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Distances of all cells to the cell that holds the goal; points on a side between cells are in both."""
+    """Path lengths from all cells to the goal's; a point on a side between free cells gets the shorter length."""
 
     table: Float[Array, "*maps h w"]
 
@@ -100,7 +99,7 @@ class Steps:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class StepPairs:
-    """Distances between all pairs of cells."""
+    """Path lengths between any two cells, by steps between neighbors."""
 
     table: Float[Array, "*maps h w h w"]
 
@@ -130,10 +129,10 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """Return the reachable cells, and their levels as binary numbers, one array of bits for each digit.
+    """Return the reachable cells, and their numbers of steps from ``start`` in binary: a packed grid for each digit.
 
-    A level of the whole grid takes a few operations on words. Four levels form a round, so that only two digits
-    change within it. Batches of grids use the last axis, which is three times as fast as the first.
+    A step of the whole grid takes a few operations on words. Four steps form a round, so that only two digits change
+    within it. Batches of grids use the last axis, which is three times as fast as the first.
     """
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)

@@ -34,10 +34,10 @@ Point: TypeAlias = list[Value]
 
 
 class Operations:
-    """Operations on NumPy values besides arithmetic and comparisons; emitters of programs override them."""
+    """Operations on NumPy values besides arithmetic and comparisons; generators of code override them."""
 
     def let(self, name: str, value: Value) -> Value:
-        """Return the value; an emitter of a program assigns it to a new variable."""
+        """Return the value; generators of code override this and assign it to a new variable."""
         return value
 
     def where(self, condition: Value, yes: Value, no: Value) -> Value:
@@ -74,7 +74,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return the fraction bits along an axis, given the offset from the lower corner and the frame's column."""
+    """Return a position along an axis in ``2**-23`` of the domain's width, from its offset and the frame's column."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -91,18 +91,18 @@ class Program:
     """The steps of a query (``FORMAT.md``) for one file, without its points.
 
     Attributes:
-        corner: Origin of points in a far domain, else None.
-        precision: Least precision of given points: 64 bits in a far domain.
-        frame: Frame of the domain that leaves partition, as points arrive there: relative to ``corner``, or folded.
+        corner: Lower corner of a domain far from 0, relative to which points are taken; else None.
+        precision: Least precision of given points: 64 bits in a domain far from 0.
+        frame: The domain that leaves partition, relative to ``corner`` or to the center of mirrors, in 32 bits; see
+            :class:`Frame` for its rows.
         limits: Least and largest coordinates inside, relative to ``corner``; along periodic axes, all finite ones.
-        periods: Ends, inverse width and tolerance of each periodic axis, in 32 bits.
-        double_periods: The same in 64 bits.
-        folding_arrays: Center, its rounding error, axes (or None), mirrors and corners of the folded box; None
-            without folding.
+        periods, double_periods: Ends, inverse width and tolerance of each periodic axis, in 32 and 64 bits.
+        folding_arrays: Center of mirrors, its rounding error, axes (or None), mirrors, and corners of the box of
+            mirrored points; None without mirror symmetries.
     """
 
     def __init__(self, contents: DecodedFile) -> None:
-        """Raise ``ValueError`` if 32-bit floats cannot hold the file's numbers."""
+        """Prepare the constants of a query; raise ``ValueError`` if 32-bit floats cannot hold the file's numbers."""
         self.contents, self.leaf = contents, contents.leaf
         self.domain = domain = contents.domain if contents.folding is None else contents.folding.domain
         self.dim = domain.dim
@@ -137,7 +137,7 @@ class Program:
         return reduce(and_, tests)
 
     def wrap_in_double(self, do: Operations, x: Point) -> Point:
-        """Wrap 64-bit points, which must be finite along periodic axes."""
+        """Move 64-bit points around periodic axes into the domain; they must be finite along these axes."""
         x = list(x)
         for axis, period in self.double_periods.items():
             x[axis] = wrap(do, x[axis], *period)
@@ -151,7 +151,7 @@ class Program:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """Fold relative points of the domain, and wrap them around periodic axes."""
+        """Mirror points of the domain (relative to :attr:`corner`) if the file does, and wrap them around axes."""
         x = list(x)
         if self.folding_arrays is not None:
             center, rest, axes, mirrors, ends = self.folding_arrays
@@ -170,7 +170,7 @@ class Program:
         return x
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Return the offsets of points from the frame's lower corner."""
+        """Return the offsets of mirrored and wrapped points from the lower corner of :attr:`frame`."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
@@ -178,7 +178,7 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate a leaf; for models of cells, ``numbers`` begins with count and position of cells on each axis."""
+        """Evaluate a leaf; with local coordinates, ``numbers`` begins with ``2**depth`` and position per axis."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
@@ -190,7 +190,7 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, above: Point) -> Value | None:
-        """The lower bound by the straight line from a placed point to the goal; None if the file has none."""
+        """Return the lower bound ``rate * |x - goal| - margin`` for offsets ``above``; None if the file has none."""
         certificate = self.contents.certificate
         if certificate is None or certificate.straight is None:
             return None
@@ -204,7 +204,7 @@ class Program:
 
 
 class CodedTree:
-    """A tree whose nodes are integers ``index << kind_bits | kind``.
+    """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
 
     A split node's kind is its axis, and its index is a row of ``children``. A leaf's kind is ``dim``, and its index
     is a row of leaf parameters.
@@ -231,7 +231,7 @@ class CodedTree:
 def distinct_rows(
     numbers: Float[np.ndarray, "leaves count"],
 ) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
-    """Return the distinct rows in order of first appearance, bit for bit, and the index of each leaf's row."""
+    """Return the distinct rows (bit for bit) in order of first appearance, and the index of each leaf's row."""
     _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
     return numbers[np.sort(first)], rank[row.ravel()]

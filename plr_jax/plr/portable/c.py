@@ -36,7 +36,7 @@ class CEmitter(Emitter):
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 fraction bits at the upper end of a word, from where the descent shifts them out."""
+        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
 
 
@@ -125,7 +125,6 @@ def c_header(program: Program, name: str) -> str:
     ]
 
     def read_leaf(do: CEmitter, fractions: list[Expression]) -> list[Expression]:
-        """Emit the search of the leaf, and return its parameters, preceded by its cell for models of cells."""
         row, counts = "0", ["1.0f", "0.0f"] * dim
         if has_tree:
             do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, fractions))}}};")

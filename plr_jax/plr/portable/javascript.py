@@ -25,7 +25,7 @@ from plr_jax.plr.tree import Cells, tree_of
 
 
 class JavaScriptEmitter(Emitter):
-    """An emitter of JavaScript, whose numbers have 64 bits: ``f`` rounds each operation to 32 bits."""
+    """A generator of JavaScript: in its code, ``f = Math.fround`` rounds the result of each 32-bit operation."""
 
     root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
     definition = "const {name} = {value};"
@@ -37,7 +37,7 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"Math.floor({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 fraction bits at the upper end of a word, from where the descent shifts them out."""
+        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
@@ -45,7 +45,7 @@ _TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level
 
 
 class _ConesFromTables(Program):
-    """A query of cones in the plane whose constants are variables, which ``readCones`` of ``file.js`` provides."""
+    """The steps of a query of any file of cones: its constants are JavaScript variables, set by ``readCones``."""
 
     def __init__(self) -> None:
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
@@ -66,12 +66,12 @@ class _ConesFromTables(Program):
 
 
 def js_file_reader() -> str:
-    """Return JavaScript functions that read PLR files."""
+    """Return the JavaScript source of functions that read PLR files (``file.js`` and the helpers it needs)."""
     return "\n".join([FROUND, NEXT_FLOAT, Path(__file__).with_name("file.js").read_text(encoding="utf-8")])
 
 
 def js_cone_reader() -> str:
-    """Return the JavaScript function ``coneReader``, which makes query functions from the result of ``readCones``."""
+    """Return JavaScript of ``coneReader``, from the tables of ``readCones`` to distance, waypoint and bounds."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -85,7 +85,7 @@ def js_cone_reader() -> str:
 
 
 def js_module(program: Program) -> str:
-    """Return the module of a PLR; see :meth:`PLR.js_module`."""
+    """Return the source of a PLR's JavaScript module; see :meth:`PLR.js_module`."""
     dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.leaf_parameters
     if certificate is not None:  # append the bounds of distance minus value
         both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
@@ -130,11 +130,10 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, the last two of ``width`` numbers in a row are a band."""
+    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers bound its error."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
-        """Emit the search of the leaf, and return its parameters, preceded by its cell for models of cells."""
         row, counts = "0", ["1", "0"] * dim
         if has_tree:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(fractions)]
@@ -145,7 +144,6 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
     def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
-        """Generate a function up to its value and the point's offsets; the arguments are its results outside."""
         do = JavaScriptEmitter()
         outside = [f"return {nan_condition(dim)} ? {of_nan} : {others};"]
         offsets, numbers = write_lookup(do, program, "double", read_leaf, outside)
@@ -178,7 +176,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a leaf's row: a descent, preceded by a grid lookup if the cell is not needed."""
+    """Generate the search of a point's leaf in the tree; if its cell is not needed, a grid lookup comes first."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

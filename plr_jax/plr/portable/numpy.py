@@ -24,7 +24,7 @@ from plr_jax.plr.portable.writers import Emitter, Expression
 
 
 class PythonEmitter(Emitter):
-    """An emitter of Python on NumPy scalars; ``constants`` maps names in the program to their values."""
+    """A generator of Python code for NumPy scalars; ``constants`` maps names in that code to their values."""
 
     conjunction, conditional = "and", "({1} if {0} else {2})"
     root_of, cast, definition = "float32(sqrt({}))", "float32({})", "{name} = {value}"
@@ -49,11 +49,11 @@ _MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
-    """A lookup table over a regular grid, and the tree below the grid's cells.
+    """A lookup table over a regular grid, and the tree by which leaves smaller than the grid's cells are found.
 
     Attributes:
-        bits: Fraction bits along each axis that index the grid.
-        table: Code of the deepest node that holds each cell of the grid.
+        bits: How often the domain is halved along each axis into the grid's cells.
+        table: For each cell of the grid, the deepest node that contains it; see :class:`CodedTree`.
         is_flat: Whether every cell of the grid lies in a single leaf.
     """
 
@@ -77,7 +77,7 @@ class LeafTable:
         self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """Return the row of leaf parameters for each point, given by its fraction bits."""
+        """Return each point's row of leaf parameters, given its position on each axis in ``2**-23`` of the width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -111,11 +111,10 @@ class _Rows(dict):
 def point_query(
     program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
 ) -> Callable[..., np.float32 | None]:
-    """Generate a Python function of the coordinates of a single point.
+    """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    All constants but the leaf's are known in advance, so that a call takes a few microseconds. The function returns
-    the value; ``inf`` outside the domain, NaN for NaN; or None for points so close to the boundary that rounding
-    decides.
+    A call takes a few microseconds. It returns the distance; ``inf`` outside the domain, NaN for NaN; or None for
+    points so close to the boundary that rounding decides.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -197,8 +196,7 @@ class NumpyPLR:
 
     ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats. Results equal those of C headers
     (:meth:`PLR.c_header`) bit for bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are
-    rounded to 32 bits; in a domain far from the origin and around periodic axes, 64-bit points are placed before
-    that.
+    rounded to 32 bits; before that, 64-bit points are wrapped and, in a domain far from the origin, shifted.
 
     A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds per point.
     Waypoints, bounds, single points around periodic axes, and single points outside with ``outside`` other than
@@ -208,7 +206,7 @@ class NumpyPLR:
         dim: Number of axes.
         domain: Closed box that the PLR covers.
         num_leaves: Number of leaves.
-        max_error: Proven bound of the largest error anywhere, in units of distance; None if nothing is proven.
+        max_error: Proven bound of the largest error, in units of distance; None if nothing is proven.
     """
 
     def __init__(self, data: bytes):
@@ -271,7 +269,7 @@ class NumpyPLR:
         return answer
 
     def waypoint(self, x: ArrayLike) -> Any:
-        """Return the source of the leaf that holds each point ``(..., dim)``; see :meth:`PLR.waypoint`.
+        """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`.
 
         Results are float32, or float64 in a domain far from the origin.
         """
@@ -293,7 +291,7 @@ class NumpyPLR:
         return point_query(self._program, self._table, self._columns.T)
 
     def _at_point(self, x: ArrayLike) -> np.float32 | None:
-        """Return the value at a single point, or None if :func:`point_query` does not apply."""
+        """Return the value at a single point; None if ``x`` is something else, or rounding at a boundary decides."""
         if type(x) is np.ndarray:
             if x.ndim != 1:
                 return None
@@ -345,7 +343,7 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Evaluate at the nearest points of the domain and add the distances to them."""
+        """Return the values at the nearest points of the domain plus distances to these; ``inf`` if not finite."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
@@ -377,7 +375,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
     """Read a PLR that :func:`save` wrote, without importing JAX.
 
     Raises:
-        ValueError: If the file is no valid PLR file of a version that this release reads, or holds pairs.
+        ValueError: If the file is no PLR file that this release reads, or holds distances between any two points.
         OSError: If the file cannot be read.
     """
     path = file_path(path)

@@ -1,6 +1,6 @@
-"""Emitters: operations that generate code instead of computing.
+"""Emitters: operations that generate source code instead of computing results.
 
-Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names one.
+Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression.
 """
 
 import re
@@ -22,7 +22,7 @@ _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence o
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Text of an expression; Python's operators combine texts, with the parentheses that precedence requires.
+    """Source text of an expression; Python's operators combine texts, with parentheses where precedence needs them.
 
     ``level`` is the precedence of the outermost operator, ``type`` is ``float``, ``double``, ``int`` (conditions) or
     ``uint32_t``.
@@ -89,7 +89,7 @@ class Expression:
 
 
 class Emitter(Operations, ABC):
-    """A base of emitters; subclasses define these templates of the target language.
+    """A base of generators of source code; subclasses define templates of their language, as attributes.
 
     Attributes:
         conjunction, conditional: Logical and; conditional expression.
@@ -109,11 +109,11 @@ class Emitter(Operations, ABC):
         self._names: Counter[str] = Counter()
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
-        """Return an expression that never needs parentheses."""
+        """Wrap source text, such as a name or a call, that never needs parentheses."""
         return Expression(text, _ATOM, of_type, self)
 
     def constant(self, value: Any) -> Expression:
-        """Return the literal of a number; expressions are returned unchanged."""
+        """Return a number as an expression, its literal; return expressions unchanged."""
         if isinstance(value, Expression):
             return value
         number = value if isinstance(value, np.floating) else np.float32(value)
@@ -147,7 +147,7 @@ class Emitter(Operations, ABC):
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 fraction bits: in Python as an integer, elsewhere at the upper end of a word."""
+        """Return the 23 mantissa bits of a value in [1, 2): in Python as an integer, else in a word's upper bits."""
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -166,11 +166,11 @@ def write_lookup(
     read_leaf: Callable[[Any, list[Expression]], list[Expression]],
     outside: list[str],
 ) -> tuple[list[Expression], list[Expression]]:
-    """Emit a C or JavaScript function of a point ``x``, up to the search of its leaf.
+    """Generate the statements of a C or JavaScript function of a point ``x`` up to the search of its leaf.
 
-    ``read_leaf`` emits that search, given the fraction bits, and returns the leaf parameters. ``outside`` are the
-    statements for points outside the domain. Returns the offsets from the domain's lower corner, and the leaf
-    parameters.
+    ``read_leaf`` generates that search, given the position bits on each axis, and returns the leaf parameters.
+    ``outside`` are the statements for points outside the domain. Returns expressions of the offsets from the domain's
+    lower corner, and of the leaf parameters.
     """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
@@ -207,7 +207,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Join entries with commas and wrap the lines."""
+    """Join entries with commas to lines of at most about 100 characters."""
     lines, line = [], ""
     for entry in entries:
         if len(line) + len(entry) > _WIDTH:
