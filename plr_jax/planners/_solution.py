@@ -27,7 +27,7 @@ _MOST_BYTES = 2**26  # largest file: a path of about three million numbers
 
 
 class Status(enum.StrEnum):
-    """Reason why a planner ended; the value is a message."""
+    """Reason why a planner ended; its value is a phrase for messages."""
 
     SOLVED = "a path within the cost factor was found"
     EXHAUSTED = "the frontier is empty: no path, or none within the cost factor, on this lattice"
@@ -43,10 +43,10 @@ class Stats:
 
     Args:
         num_nodes: Joint configurations stored: nodes of the searches, or samples of a sampling-based planner.
-        num_expansions: Expansions of nodes; for LaCAM, attempted steps of the team.
-        num_children_scored: Scored joint children, including partial ones of the first robots; for LaCAM, motions of
-            robots.
-        num_children_valid: Children found free of collision; for LaCAM, steps found.
+        num_expansions: Search nodes expanded; for LaCAM, attempted steps of the whole team.
+        num_children_scored: Next joint configurations (children) scored, including those of the first robots only;
+            for LaCAM, motions of single robots.
+        num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
         seconds: Wall-clock seconds of each phase.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Origin of the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
@@ -220,7 +220,7 @@ def make_solution(
     samples: Float[np.ndarray, "nodes robots dof"],
     motions_factor: float = math.inf,
 ) -> Solution:
-    """Return a solution whose cost, makespan and times are computed from its path."""
+    """Return a solution with a path's cost, makespan and times; without a path, ``motions_factor`` is ignored."""
     if path is None:
         return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
@@ -228,7 +228,7 @@ def make_solution(
 
 
 def straight_line_bound(problem: Problem) -> float:
-    """Return a lower bound of all path costs: the sum of the costs of straight motions to the goals."""
+    """Return a lower bound of the cost of every path: the cost of straight motions of all robots to their goals."""
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
@@ -345,7 +345,7 @@ def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
 
 @dataclass
 class SearchBudget:
-    """Limits of a planner and its counters; the deadline is on the clock of ``time.perf_counter``."""
+    """Limits of a planner, and counters of its effort; ``deadline`` is a time of ``time.perf_counter``."""
 
     deadline: float
     max_expansions: float | int
@@ -357,20 +357,20 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the limit that is reached, or None."""
+        """Return the status of a limit that is reached, or None; one more expansion must be allowed."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return the limit of time or memory if it is reached, else None; ignore expansions."""
+        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 class MemoryUse:
-    """Bytes of one data structure, counted against a budget until they are released."""
+    """Bytes of one data structure, counted in ``budget.memory`` until they are released."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0
