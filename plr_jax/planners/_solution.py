@@ -185,9 +185,8 @@ class Solution:
             "status":      name of a Status, such as "SOLVED"
             "cost":        number, or null if there is no path; likewise "makespan"
             "lower_bound": number or null; likewise "motions_factor"
-            "path":        [[[x, y], ...], ...]: per row, one configuration per robot ([x, y, heading] if any robot
-            has
-                           a heading); null if there is no path
+            "path":        [[[x, y], ...], ...]: per row, one configuration per robot, [x, y, heading] if any robot
+                           has a heading; null if there is no path
             "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
             "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
                             "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},

@@ -171,7 +171,6 @@ class BestFirstSearch:
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
-        """Find and store the best children of nodes that have none stored."""
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:

@@ -208,7 +208,6 @@ class PIBT:
         return True
 
     def _undo(self, num_chosen: int, num_changes: int) -> None:
-        """Undo the latest choices and changes, until only the given numbers of them are left."""
         while len(self._changes) > num_changes:
             robot, allowed = self._changes.pop()
             self.allowed[robot] = allowed
@@ -291,7 +290,6 @@ class LaCAM:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
-        """Make a joint state the newest node, creating the node unless it is known."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:

@@ -48,15 +48,15 @@ def replan(
 ) -> Solution:
     """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
 
-    Use it when a few goals or walls have changed, or robots have broken down. Robots keep their lines, not their
-    clock: all must switch to the new path, whose times differ from the old ones::
+    Use it when a few goals or walls have changed, or when robots have broken down::
 
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    A robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot; the
-    others keep their motions. If it finds no path among them, it moves as if it were alone, and the robots that it
-    meets are replanned in turn. If too many robots need replanning, :func:`bl_plan` plans the whole team.
+    Robots keep their lines, not their clock: all must switch to the new path, whose times differ from the old ones. A
+    robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it
+    finds no path among the others, it moves as if it were alone, and the robots that it meets are replanned in turn.
+    If too many robots need replanning, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
@@ -69,8 +69,8 @@ def replan(
             and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 
     Returns:
-        The solution from now on, for robots at unit speed that do not move in step. Its status is EXHAUSTED if no
-        path was found beside standing robots; TIME_LIMIT or INTERRUPTED also mean that ``path`` is None.
+        The solution from now on, at unit speed. Its status is EXHAUSTED if no path was found beside standing robots,
+        TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
 
     Raises:
         ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
@@ -316,7 +316,6 @@ class _LifelongTeam:
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
     def _current_problem(self, goals: Goals) -> Problem:
-        """Return the problem from the present configurations to some goals; ``ValueError`` if a goal is invalid."""
         problem = self.problem
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 

@@ -20,8 +20,9 @@ class CellState(IntEnum):
 
     Attributes:
         BLOCKED: No path passes through the interior of the box.
-        FREE: Every configuration of the closed box is free, and paths may pass through each into adjacent FREE boxes.
-        MIXED: Neither is proven.
+        FREE: Every configuration of the closed box is free, and a path may cross at any of them into an adjacent FREE
+            box.
+        MIXED: Neither BLOCKED nor FREE is proven.
     """
 
     BLOCKED = 0
@@ -31,7 +32,7 @@ class CellState(IntEnum):
 
 @dataclass(frozen=True, init=False)
 class MotionCost:
-    """The cost of a motion: an infinitesimal motion ``dq`` costs the sum over blocks of ``weight * |dq[axes]|``.
+    """The cost of motions ``dq``: the sum of ``weight * |dq[axes]|`` over groups of axes, called blocks.
 
     Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
     a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
