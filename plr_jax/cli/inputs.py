@@ -202,8 +202,7 @@ def read_map_of_file(
     """Return the workspace and the goal of a file; None for what neither the user nor the file's label names.
 
     The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``, the PLR or pairs. A map
-    is also looked for beside ``file``. Unless ``is_needed``, a map of the label that cannot be read is only a
-    warning.
+    is also looked for beside ``file``. If a map is not needed and cannot be read, a warning is shown.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))

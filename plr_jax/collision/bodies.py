@@ -27,7 +27,7 @@ Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
-    """Bodies in straight motion, one per column; ``size`` is half sides of boxes, or vertices, as the kernel asks."""
+    """Bodies in straight motion, one per column; ``size`` is half sides of boxes, or vertices, as the tests need."""
 
     size: Float[np.ndarray, "*size n"]
     x: Column
@@ -47,7 +47,7 @@ class MovingBodies(NamedTuple):
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
     def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
-        """Return the same motions for bodies that all have one size."""
+        """Return the same motions for bodies that all have the same size."""
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
@@ -76,7 +76,8 @@ def bisect(
 ) -> Booleans:
     """Return whether bodies certainly keep the distance ``reach``; bisect motions until the kernel is certain.
 
-    A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
+    ``kernel`` returns which motions certainly do, and which certainly do not. A negative ``reach`` is an allowed
+    depth of overlap. Depth-first order in small batches bounds the memory.
     """
     k, m = a.num_corners, b.num_corners
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # a distance takes all pairs of corners
@@ -101,10 +102,9 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
-    """Return the bulges of gaps along axes that turn with body ``a``, and along axes that turn with ``b``.
+    """Bound by how much gaps along axes that turn with ``a``, and with ``b``, fall below those at both ends.
 
-    They cover the motion and the turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed
-    radius.
+    Bounds cover the motion and turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed radius.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)

@@ -68,7 +68,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return indices of ``motion``, and for each a robot whose circle overlaps the circle of robot ``i``.
+        """Return pairs of an index ``k`` and a robot that may meet robot ``i``, as two arrays.
 
         Robot ``i``'s reference point stays in circle ``around[k]`` during the path's motion ``motion[k]``.
         """

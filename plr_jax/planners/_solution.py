@@ -47,9 +47,9 @@ class Stats:
         num_children_scored: Next joint configurations (children) scored, including those of the first robots only;
             for LaCAM, motions of single robots.
         num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
-        seconds: Wall-clock seconds of each phase.
+        seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
-        found_by: Origin of the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
+        found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
         num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, with everything stored beside
             them. It exceeds the memory limit if that limit ruled out lattices.
     """
@@ -304,7 +304,7 @@ class BLOptions:
             distances).
         time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
             computation of costs-to-go, is not interrupted.
-        max_expansions: Largest number of expansions; deterministic, unlike the time limit.
+        max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.
 
     Raises:

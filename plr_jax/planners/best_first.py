@@ -49,8 +49,7 @@ def best_successors(
     """Find the best children of joint states by beam search, adding one robot at a time.
 
     Before the next robot joins, only the ``width`` best joint motions of the earlier robots are kept.
-    ``terms[robot]`` has the score of each primitive (motion to a neighboring cell) at each node; ``inf`` if it is
-    blocked.
+    ``terms[robot]`` has the score of each motion primitive at each lattice node; ``inf`` if it is blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -105,11 +104,10 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search in which each joint configuration is claimed by the first node that reaches it.
+    """A best-first search in which each joint configuration belongs to the first node that reaches it.
 
     The node with the least sum of cost-to-come and weighted heuristic is expanded first. Only its best child joins
-    the tree, and the node returns to the frontier with the score of its next child. A node with an infinite estimate
-    may still be expanded.
+    the tree, and the node is queued again with the score of its next child. Infinite estimates prune nothing.
     """
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
@@ -157,7 +155,7 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
-        """Joint states ``(steps, robots)`` from the starts to the goals; only once the search has found the goals."""
+        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
         while self.parents[node] >= 0:
@@ -167,7 +165,7 @@ class BestFirstSearch:
 
     @property
     def node_states(self) -> State:
-        """Joint states ``(nodes, robots)`` of all search nodes, in the order of creation."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
@@ -208,7 +206,7 @@ class BestFirstSearch:
                 self.budget.num_expansions += len(some)
 
     def _add_child(self, node: int) -> None:
-        """Add a node's best unclaimed child; return the node to the frontier with the score of the next child."""
+        """Add a node's best child that is not in the tree; queue the node again with the score of its next child."""
         successors, is_added = self.successors[node], False
         for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]

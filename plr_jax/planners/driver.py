@@ -94,9 +94,8 @@ def bl_plan(
     2. Robots move on lattices (grids of configurations) that include the exact starts and goals. Two searches
        alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: by
        priority inheritance (PIBT), each robot takes its best free motion and pushes others out of its way. It is fast
-       in the open and at doors, even for a hundred robots. Best-first search, after Barraquand and Latombe, expands
-       joint configurations as A* does, and claims each only once. It finds coordinated maneuvers, such as a swap in a
-       tight place.
+       in the open and at doors, even for a hundred robots. Best-first search expands joint configurations as A* does,
+       but each only once. It finds coordinated maneuvers, such as a swap in a tight place.
     3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
        and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
@@ -253,7 +252,7 @@ class Run:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """Build the lattices of a step, or of a half of it; None if a goal is unreachable on them, or time is up."""
+        """Build lattices of cell size ``step`` or half of it; None if a goal is unreachable on them or time is up."""
         problem = self.problem
         straight, joint = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
         try:
@@ -302,7 +301,7 @@ class Run:
             self.offer(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
-        """Return joint states of no higher cost: replan robots one by one among the others, then nearby groups."""
+        """Return a path (lattice nodes of all robots) of no higher cost: replan single robots, then small groups."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
         rows = np.concatenate([state, waiting])
@@ -333,7 +332,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path of joint states, and its cost divided by the sum of the robots' least lattice costs."""
+        """Return the path along lattice nodes ``state`` of all robots, and its cost over the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -341,7 +340,7 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Return whether the lattices of a step fit into memory; store the memory that they need in ``num_bytes``."""
+        """Return whether lattices of cell size ``step`` fit into memory; store the memory needed in ``num_bytes``."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -356,7 +355,7 @@ _TURNING = 4  # time of a motion test with turns, over the time without
 
 
 def num_bytes(problem: Problem, step: float) -> float:
-    """Estimate the memory, in bytes, of the lattices of a step, supposing that all cells are free."""
+    """Estimate the memory, in bytes, of lattices of cell size ``step``, supposing that all cells are free."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
@@ -365,7 +364,7 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the time to test the motions of the lattices of a step, in tests of robots without a heading."""
+    """Estimate the time to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
@@ -384,7 +383,7 @@ _TURN_GROWTH = 1.5
 
 
 class Searches:
-    """LaCAM, best-first search, or both in turns, on the lattices of one step."""
+    """LaCAM, best-first search, or both in turns, on lattices (grids of configurations) of one cell size."""
 
     def __init__(
         self,
@@ -430,14 +429,14 @@ class Searches:
 
     @property
     def found(self) -> tuple[str, State]:
-        """The name of the search that reached the goals, and its joint states ``(steps, robots)`` from the starts."""
+        """Name of the search that reached the goals, and the lattice nodes of all robots, ``(steps, robots)``."""
         return next(
             (name, search.solution_states) for name, search in self.running.items() if search.found is not None
         )
 
     @property
     def node_states(self) -> State:
-        """Joint states ``(nodes, robots)`` of the search with the most nodes; the starts if none has begun."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in the search with the most nodes, or at the starts."""
         starts = np.array([[lattice.start for lattice in self.joint.lattices]])
         return max((search.node_states for search in self.running.values()), key=len, default=starts)
 
@@ -450,10 +449,7 @@ class Searches:
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the cell size of the first lattices: robots should be able to pass one another, and building be quick.
-
-    Coarser steps are tried until ``fits(step)``. ``may_be_packed``: dense teams may get one cell per robot.
-    """
+    """Choose the cell size of the first lattices: robots should have room to pass one another, and ``fits(step)``."""
     # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]

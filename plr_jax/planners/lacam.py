@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The primitives of each robot from a joint configuration, and which of them collide."""
+    """The motion primitives of each robot from a joint configuration, and which of them collide."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
@@ -57,7 +57,7 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
-        """Return the primitives of all robots from a joint state, best first, and which of them collide."""
+        """Return the motion primitives of all robots from a joint state, best first, and which of them collide."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -119,7 +119,7 @@ class TeamMoves:
                 neighbors[other].append((robot, known[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
-        """Return each robot's term of the heuristic."""
+        """Return the heuristic's term of each robot at its lattice node."""
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
@@ -144,7 +144,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 class PIBT:
-    """Search for one step of the team: the primitives chosen so far, and those that other robots still allow."""
+    """A search for one step of the team: motion primitives chosen so far, and primitives that these still allow."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -156,7 +156,7 @@ class PIBT:
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return one primitive per robot, without collisions, or None; ``constraints`` are prescribed ones."""
+        """Return one motion primitive per robot, free of collisions, or None; ``constraints`` are prescribed ones."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -170,7 +170,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose a robot's best primitive for which robots in its way can make room; return whether there is one."""
+        """Choose a robot's best motion for which robots in its way can make room; return whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -181,7 +181,7 @@ class PIBT:
         return False
 
     def _choose(self, robot: int, primitive: int) -> list[int]:
-        """Choose a primitive and disallow others that collide with it; return robots that can no longer stay."""
+        """Choose a robot's motion and disallow others that collide with it; return robots that can no longer stay."""
         chosen, allowed, in_the_way = self.chosen, self.allowed, []
         chosen[robot] = primitive
         self._robots.append(robot)
@@ -197,7 +197,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Choose primitives of robots that cannot stay in place; return whether all of them find one."""
+        """Choose motions of robots that cannot stay in place; return whether all of them find one."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -277,7 +277,7 @@ class LaCAM:
 
     @property
     def solution_states(self) -> Int[np.ndarray, "n robots"]:
-        """Joint states ``(steps, robots)`` from the starts to the goals; only once the search has found the goals."""
+        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
         states, node = [], self.found
         while node is not None:
             states.append(node.state)
@@ -286,7 +286,7 @@ class LaCAM:
 
     @property
     def node_states(self) -> Int[np.ndarray, "n robots"]:
-        """Joint states ``(nodes, robots)`` of all search nodes, in the order of creation."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:

@@ -1,9 +1,9 @@
 """Lattices: the configurations that robots visit in a search, and the motions between them.
 
-A lattice is a grid of cells over a robot's configuration space, periodic in the heading. Its nodes are one free
-configuration, the representative, of each cell. The representative of a cell is its center if that is free, else its
-free sample with the largest clearance; a passage narrower than a cell is thus still found. A primitive is a motion
-between representatives of neighboring cells.
+A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
+configuration in a cell, its representative: the center if that is free, else the free sample with the largest
+clearance; a passage narrower than a cell is thus still found. A primitive is a motion between neighboring cells'
+representatives.
 
 Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
 nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their cells. If
@@ -95,7 +95,7 @@ class Kind:
         self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return target nodes and costs of all primitives, from nodes of robot ``row`` or from one node per robot."""
+        """Return target nodes and costs of the motion primitives, from nodes of robot ``row`` or one per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -177,12 +177,12 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Node that each primitive leads to from each node."""
+        """Node to which each motion primitive (motion to a neighboring cell) leads from each node."""
         return self._motions[0]
 
     @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """Cost of each primitive from each node; ``inf`` if it is blocked."""
+        """Cost of each motion primitive (motion to a neighboring cell) from each node; ``inf`` if it is blocked."""
         return self._motions[1]
 
 
@@ -216,14 +216,14 @@ class JointLattice:
         )
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Return the joint configurations of joint states; robots without headings keep that of their start."""
+        """Return the configurations at nodes of all robots; a robot without a heading keeps that of its start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
-        """Return the joint states that primitives, one per robot, lead to, and the sums of their costs."""
+        """Return the nodes, ``(n, robots)``, that the robots' motion primitives lead to, and the sums of costs."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
@@ -231,7 +231,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return rows of ``state`` in which robots ``i`` and ``j`` are near, and which primitives collide there."""
+        """Return rows in which robots ``i`` and ``j`` are near, and which of their motion primitives collide."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -242,7 +242,7 @@ class JointLattice:
 
 
 class CellGrid(NamedTuple):
-    """A grid of cells over a robot's configuration space, with their representatives and the motions between them."""
+    """A grid of cells over a robot's configuration space: a free configuration per cell, and motions between them."""
 
     lo: Float[np.ndarray, "dof"]
     shape: tuple[int, ...]
@@ -310,7 +310,7 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at given offsets, and whether each is a different cell that has a representative."""
+        """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
@@ -324,7 +324,7 @@ class CellGrid(NamedTuple):
         end: Float[np.ndarray, "n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions; ``inf`` for motions that are not possible or not free."""
+        """Return the costs of straight motions; ``inf`` for those that are not ``possible`` or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -332,7 +332,7 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
-        """Test motions from some cells' representatives, and store their costs; ``TimeoutError`` if time is up."""
+        """Test the motions from cells to their neighbors, and store their costs; ``TimeoutError`` if time is up."""
         child, leads = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -342,7 +342,7 @@ class CellGrid(NamedTuple):
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
-    """Estimate the number of cells of a robot's lattice, supposing that all are free; ``inf`` on overflow."""
+    """Estimate the number of cells of a robot's lattice, of size ``step``, if all are free; ``inf`` on overflow."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
@@ -360,7 +360,7 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the grid of cells of a kind of robot, without starts and goals; small grids are cached."""
+    """Return the grid of cells, with motions between them, of one kind of robot; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     return (_cached_cell_grid if is_small else _build_cell_grid)(
         workspace, robot, weight, step, IgnoredByCache(deadline)

@@ -63,7 +63,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count a robot's path as blocking all edges that collide with it; ``change=-1`` releases them."""
+        """Count a robot's path as blocking all lattice motions that collide with it; ``change=-1`` undoes this."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -72,7 +72,7 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # no index occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each given edge of kind ``a``, the edges of kind ``b`` whose motions collide with it."""
+        """Return, for each lattice motion (edge) of kind ``a``, the edges of kind ``b`` that collide with it."""
         known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
@@ -99,7 +99,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Give a robot whose edges are released its cheapest path up to ``max_cost``; return whether it exists."""
+        """Give a robot that blocks nothing its cheapest path up to ``max_cost``; return whether there is one."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
@@ -133,7 +133,7 @@ class ReservationTable:
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    """Estimate the memory, in bytes, of a reservation table, without its cache of colliding edges."""
+    """Estimate the memory, in bytes, of a reservation table of ``num_rows`` rows, without cached collisions."""
     num_edges = sum(kind.num_edges for kind in joint.kinds)
     num_nodes = max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)

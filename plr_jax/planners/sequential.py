@@ -84,7 +84,7 @@ class CornerRoadmap:
         return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
     def between(self, u: int, v: int) -> Route:
-        """Return the shortest route between two corners, given by index."""
+        """Return the shortest route, as positions of the disc's center, from corner ``u`` to corner ``v``."""
         route = [v]
         while route[-1] != u:
             route.append(int(self._previous[u, route[-1]]))
@@ -124,21 +124,21 @@ class Routes(NamedTuple):
     to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
     def shortest(self) -> Route | None:
-        """Return the shortest route from start to goal, or None if there is none."""
+        """Return the shortest route from start to goal, as positions of the disc's center; None if there is none."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
         return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
     def route_home(self, corner: int) -> Route:
-        """Return the shortest route from a corner, given by index, to the goal."""
+        """Return the shortest route from a corner, given by index, to the goal, as positions of the disc's center."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
 def sequential_path(problem: Problem) -> Path | None:
     """Return a path on which one robot after the other moves from corner to corner, or None if none is found.
 
-    None is tried unless the team has at most 8 discs, wider than the tolerance, without headings, among at most 48
+    It is None unless the team has at most 8 discs, without headings and wider than the tolerance, and at most 48
     walls.
     """
     robots, workspace = problem.robots, problem.workspace

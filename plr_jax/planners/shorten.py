@@ -69,7 +69,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Return the rows that robot ``i``'s cheapest shortcuts leave, and which robots blocked other shortcuts."""
+    """Return the rows of the path that robot ``i``'s cheapest shortcuts keep, and which robots blocked shortcuts."""
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -107,11 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions of each robot, and of two that touch, by the cheapest ones in narrow corridors around the path.
-
-    Corridors begin ``width`` wide on each side and get narrower, until they gain little or the test's deadline
-    passes.
-    """
+    """Replace motions of robots, or of two that touch, by the cheapest ones within at most ``width`` of them."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
@@ -197,7 +193,7 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[CostsOfRobot], test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Return the costs of joint motions of two robots between places of their corridors; ``inf`` if they collide."""
+    """Return costs of joint motions of two robots between configurations in their corridors; ``inf`` if blocked."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
@@ -229,7 +225,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion between places, the cost of the cheapest sequence with it from place 0 to place 0."""
+    """Return, for each motion, the cost of the cheapest sequence of motions with it from place 0 to place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -239,7 +235,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return the place in each row of the cheapest sequence of motions that begins and ends at place 0."""
+    """Return, row by row, the places of the cheapest sequence of motions that begins and ends at place 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

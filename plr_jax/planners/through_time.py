@@ -69,7 +69,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether straight motions of robot ``i``, over ``count`` rows from ``row`` on, meet no other."""
+        """Return whether robot ``i``, on straight motions of ``count`` rows from ``row`` on, meets no other robot."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -79,14 +79,14 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and these."""
+        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and which."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """Return, for each row, the first row from then on at which robot ``i`` may rest at ``q``, or ``inf``."""
+        """Return, for each row, the next one from which robot ``i`` may rest ``rest`` rows at ``q``, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
@@ -197,7 +197,7 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Replace waypoints ``q``, each reached at its ``row``, by straight motions if possible; none comes later."""
+    """Replace waypoints ``q``, reached at rows ``row``, by straight motions where possible; none is reached later."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

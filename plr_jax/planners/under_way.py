@@ -199,10 +199,10 @@ def lifelong(
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot at its goal blocks others only for some rows, since it then gets another goal. A robot
-    that finds no path goes to a place near its goal where it may rest, and is replanned later, robots with the oldest
-    goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is also
-    replanned. If all this fails, the whole team is planned again.
+    keep their motions. A robot at its goal blocks others only for a short time, since it then gets another goal. A
+    robot that finds no path goes to a place near its goal where it may rest, and is replanned later, robots with the
+    oldest goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is
+    also replanned. If all this fails, the whole team is planned again.
 
     The function shows progress. Ctrl-C ends it and returns the run so far. Results are deterministic unless a time
     limit is reached.
@@ -290,10 +290,7 @@ class _LifelongTeam:
         self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
 
     def replan(self) -> Status:
-        """Replan the whole team if ``plan`` is given, else robots that soon rest short of their goals, and others.
-
-        Others are robots in their way and the most delayed one. Return SOLVED if the team can go on.
-        """
+        """Replan the whole team if ``plan`` is given, else robots that need it; return SOLVED if all can go on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():

@@ -21,8 +21,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
     Positions move by at most ``distance``, in workspace units. Headings turn by at most the angle that moves the
-    robot's farthest corner that far. ``ValueError`` is raised if an argument is out of range or no free variant is
-    found.
+    robot's farthest corner that far. ``ValueError``: an argument is out of range, or no free variant is found.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)

@@ -220,7 +220,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return the outlines of clipped triangles: the clipped edges, and segments that join their ends."""
+    """Return outlines of clipped triangles: their clipped edges, and segments that join the ends of these."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

@@ -114,7 +114,7 @@ class LipschitzCost:
         object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or below ``least`` by more than rounding."""
+        """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or more than rounding below ``least``."""
         return self._factors(np.asarray(q, np.float64))[0]
 
     def _factors(self, q: Vectors) -> tuple[Rates, float]:

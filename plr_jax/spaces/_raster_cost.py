@@ -237,7 +237,7 @@ class RasterCost:
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at configurations, ``(n,)``; NaN where a leading coordinate is not finite."""
+        """Return the factor, ``(n,)``, at configurations; NaN where it depends on a coordinate that is not finite."""
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -396,7 +396,7 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return the smallest and largest entries of blocks that ``counts`` windows of a level, per axis, cover."""
+        """Return the smallest and largest entries of blocks covered by ``counts`` windows of one level per axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
