@@ -131,7 +131,7 @@ def bl_plan(
 
 
 class Run:
-    """A call of the planner: its best path so far, and the searches that improve it."""
+    """A call of :func:`bl_plan`: the best path so far, and the searches that improve it."""
 
     progress: tqdm  # set while lattices are searched
 
@@ -449,7 +449,7 @@ class Searches:
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the cell size of the first lattices: robots should have room to pass one another, and ``fits(step)``."""
+    """Choose the first lattices' cell size: robots should have room to pass, and ``fits(step)`` should hold."""
     # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]

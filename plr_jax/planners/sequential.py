@@ -138,8 +138,7 @@ class Routes(NamedTuple):
 def sequential_path(problem: Problem) -> Path | None:
     """Return a path on which one robot after the other moves from corner to corner, or None if none is found.
 
-    It is None unless the team has at most 8 discs, without headings and wider than the tolerance, and at most 48
-    walls.
+    None is returned unless there are at most 8 discs, without headings and wider than the tolerance, and 48 walls.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)

@@ -107,7 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions of robots, or of two that touch, by the cheapest ones within at most ``width`` of them."""
+    """Replace motions of one robot, or of two that touch, by the cheapest ones within ``width`` of them."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):

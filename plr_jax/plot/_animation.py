@@ -68,7 +68,7 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the data of a path that ``player.js`` reads, with coordinates rounded to a twentieth of a pixel."""
+    """Return the data of a path that ``player.js`` reads; coordinates are rounded by at most 1/20 of a pixel."""
 
     def short(value: float, digits: int) -> float | int:
         rounded = round(float(value), digits)
