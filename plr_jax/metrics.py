@@ -20,7 +20,7 @@ _DIGITS = 4  # digits of a printed position, relative to the largest distance
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over many points.
+    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over points.
 
     ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite. Other
     points are counted. All fields are plain Python numbers that JSON can store.
@@ -28,9 +28,9 @@ class ErrorReport:
     Attributes:
         max: Largest error.
         mean: Mean error.
-        quantiles: Errors that a share of 0.5, 0.9, 0.99 and 0.999 of the points does not exceed, by share.
+        quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
-        max_distance: Largest distance ``V``, as a scale for the errors.
+        max_distance: Largest finite distance ``V``, as a scale for the errors.
         num_points: Number of points.
         num_unreachable: Points where ``V`` is infinite; the error is undefined there.
         num_unanswered: Points where ``V`` is finite and ``L`` is not. It should be 0 for an approximation that prunes

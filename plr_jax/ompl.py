@@ -38,7 +38,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
-        plr: A PLR with certificates, such as one built with ``certified=True``, for these costs or lower ones: a PLR
+        plr: A PLR with proven bounds, such as one built with ``certified=True``, for these costs or lower ones: a PLR
             for points also serves a body that turns. Leaf bounds (``certified="leaves"``) improve the heuristic.
         coordinates: Function from a state to its point in the PLR's domain. None: the first coordinates of a
             ``RealVectorStateSpace``; position, and for a PLR of three dimensions heading, of an ``SE2StateSpace``.
@@ -49,7 +49,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     Raises:
         ImportError: If OMPL is not installed.
-        ValueError: If ``plr`` is not a PLR with certificates, or ``coordinates`` must be given.
+        ValueError: If ``plr`` is not a PLR with proven bounds, or ``coordinates`` must be given.
 
     References:
         Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson, "Computing the

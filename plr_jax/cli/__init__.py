@@ -18,10 +18,9 @@ _SOON = 0.01  # seconds; callbacks of the garbage collector end within this time
 
 
 def main() -> None:
-    """Run the command line; the entry point of ``plr-jax``.
+    """Run the command ``plr-jax``: its entry point.
 
-    Ctrl-C ends the command with exit code 130, also while it loads; SIGTERM ends it with 143. Files are complete or
-    absent.
+    Ctrl-C ends the command with exit code 130, also while it loads; SIGTERM with 143. No partial files are left.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # background jobs ignore Ctrl-C
         signal.signal(signal.SIGINT, _stop)
@@ -34,7 +33,7 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise an exception, which cleans up; but during an import, end the process at once.
+    """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once.
 
     Libraries swallow an exception in an incomplete import, or abort the process. No file is open for writing then.
     """
@@ -48,7 +47,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
-    """Resend a signal whose exception got lost in a garbage collector callback, such as JAX's."""
+    """Resend a signal if its exception was lost in a callback of the garbage collector, such as JAX's."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:
         sys.__unraisablehook__(lost)
@@ -57,7 +56,7 @@ def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
 
 
 def load_app() -> "typer.Typer":
-    """Import the commands, which registers them in the order of the help, and return the application."""
+    """Import the commands, in the order of the help, and return the application."""
     from plr_jax.cli import build, files, plan  # noqa: F401
     from plr_jax.cli.app import app
 

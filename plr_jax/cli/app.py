@@ -47,7 +47,7 @@ def _options(
 
 
 class _Command(TyperCommand):
-    """A command that detects a goal split into several arguments: ``--goal 1 2`` must be ``--goal 1,2``."""
+    """A command that rejects ``--goal 1 2`` with a hint: a goal must be one argument, ``--goal 1,2``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for place, option in enumerate(args):
@@ -59,10 +59,9 @@ class _Command(TyperCommand):
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command, with examples for its help.
+    """Return a decorator that registers a function as a command, with examples for its help.
 
-    Errors of the user are printed as one line, with exit code 2; warnings are one line each. Ctrl-C gives exit code
-    130.
+    A user's errors are printed on one line, with exit code 2; warnings on one line each. Ctrl-C gives exit code 130.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
@@ -98,7 +97,7 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """Return the message of an error; for a system error, the file and the reason without its number."""
+    """Return an error's message; for a system error, the file and the reason without the error number."""
     if not isinstance(error, OSError):
         return str(error)
     where = f"{error.filename}: " if error.filename else ""
@@ -107,7 +106,7 @@ def reason_of(error: OSError | ValueError) -> str:
 
 @contextmanager
 def progress(what: str) -> Iterator[None]:
-    """Show on a terminal what is being done, until it is done."""
+    """Show on the terminal, if there is one, what is being done until it is done."""
     if not sys.stderr.isatty():
         yield
         return
@@ -134,9 +133,9 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, bool]:
-    """Call a function that keeps partial work on Ctrl-C; return its result and whether it was interrupted.
+    """Call a function that returns partial work on Ctrl-C; return its result, and whether it was interrupted.
 
-    Such a function warns with :class:`ConstructionInterrupted`; other warnings are shown as usual.
+    The function warns of an interrupt by :class:`ConstructionInterrupted`; other warnings are shown as usual.
     """
     from plr_jax.plr import ConstructionInterrupted
 
@@ -156,7 +155,7 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Parse comma-separated decimal numbers, including ``nan`` and ``inf``; empty if a field is not a number.
+    """Return a line's comma-separated numbers, including ``nan`` and ``inf``; empty if a field is not a number.
 
     Numbers are ASCII, possibly surrounded by spaces; unlike in Python, ``1_000`` is not a number.
     """

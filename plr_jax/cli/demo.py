@@ -23,7 +23,7 @@ _GIF_SECONDS, _GIF_RATE = 6, 12.5  # drawing frames takes longer than planning, 
 
 
 def run(output: Path) -> None:
-    """Write the demo's files into a folder, and print what they show."""
+    """Write the files of the demo into a folder, and print its results."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
@@ -81,7 +81,7 @@ def _device() -> str:
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
-    """Return points per second, by the median time of several calls after one that compiles."""
+    """Return points per second: the median of several calls, after one call that compiles."""
     jax.block_until_ready(function(points))
     seconds = []
     for _ in range(repeats):

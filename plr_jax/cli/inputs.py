@@ -52,7 +52,7 @@ GoalOption = Annotated[
 
 
 def choices(names: Sequence[str]) -> dict[str, Any]:
-    """Return arguments of an option whose help and shell completion show its choices."""
+    """Return arguments for ``typer.Option`` that show the choices in the help and in shell completion."""
     return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
 
 
@@ -80,12 +80,16 @@ PolygonsOption = Annotated[
 ]
 RadiusOption = Annotated[
     float | None,
-    _reading_option("Radius of a disc robot, in workspace units; distances are for its center.", "0, a point"),
+    _reading_option(
+        "Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for the "
+        "grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.",
+        "0, a point",
+    ),
 ]
 
 
 def parse_goal(text: str) -> Float[np.ndarray, "2"]:
-    """Parse a point ``X,Y``."""
+    """Parse a goal ``X,Y``; ``ValueError`` if it is not two finite numbers."""
     goal = np.array(numbers_of(text))
     if goal.shape != (2,) or not np.isfinite(goal).all():
         raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
@@ -93,13 +97,13 @@ def parse_goal(text: str) -> Float[np.ndarray, "2"]:
 
 
 def option_of(key: str) -> str:
-    """Return the command-line option of a field of :class:`NamedMap`."""
+    """Return the command-line option of a field of :class:`NamedMap`, such as ``--drop-specks``."""
     return f"--{key.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map and its options as named on the command line; its text is the label of files, and can be parsed.
+    """A map and its options, as given on the command line; ``str`` of it is the label of files built from it.
 
     None stands for a default: the goal of a scene of one robot, the reader's value of an option, radius 0.
     """
@@ -117,7 +121,7 @@ class NamedMap:
 
     @classmethod
     def parse(cls, text: str) -> "NamedMap":
-        """Parse the text of a map; ``ValueError`` if it is invalid."""
+        """Parse a label, such as ``scan.png --resolution=0.05``; ``ValueError`` if it is invalid."""
         try:
             name, *options = shlex.split(text)
             pairs = [option.removeprefix("--").split("=", 1) for option in options]
@@ -132,12 +136,12 @@ class NamedMap:
         return named
 
     def given_options(self) -> dict[str, Any]:
-        """Return the options that are set, by field name."""
+        """Return the options that are not None, by field name."""
         fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {key: value for key, value in fields_of_map.items() if value is not None}
 
     def free_pixels(self) -> Bool[np.ndarray, "rows columns"] | None:
-        """Return which pixels of a picture or ``map_server`` map are free; None for other maps."""
+        """Return which pixels of a picture or of a ``map_server`` map are free; None for other kinds of maps."""
         from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, free_pixels
 
         if self.name in SCENES or Path(self.name).suffix.lower() not in (*PICTURE_ENDINGS, *YAML_ENDINGS):
@@ -145,9 +149,9 @@ class NamedMap:
         return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-        """Read the workspace, inflated by the radius, and the goal, or None without one.
+        """Return the workspace, inflated by the radius, and the goal, or None if there is none.
 
-        An unknown map or an option that its reader does not have raises ``ValueError``.
+        An unknown map, or an option that its reader does not have, raises ``ValueError``.
         """
         from plr_jax import scenes
 
@@ -195,10 +199,10 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
 ) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """Return the workspace and goal that belong to a file; None for what neither the user nor the file names.
+    """Return the workspace and the goal of a file; None for what neither the user nor the file's label names.
 
-    The user's ``map_text``, MAP and options, and ``goal`` override the label of ``content``, the PLR or pairs. A map
-    is also looked for beside ``file``. Without ``is_needed``, an unreadable map of the label is only a warning.
+    The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``, the PLR or pairs. A map
+    is also looked for beside ``file``. If a map is not needed and cannot be read, a warning is shown.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))
@@ -244,9 +248,9 @@ def read_map_of_file(
 def require_writable(
     path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
 ) -> None:
-    """Raise an error before any work is done if a file cannot be written.
+    """Raise an error, before any work is done, if a file cannot be written; None is accepted.
 
-    It must have one of the endings, if there are any, and must not be one of the inputs. None is accepted.
+    The file must have one of the endings, if any are given, and must not be one of the inputs.
     """
     if path is None:
         return

@@ -136,7 +136,7 @@ def solve(
 ) -> "tuple[Solution, ValidationReport | None]":
     """Build a heuristic, plan with it, validate the path, and print a report.
 
-    The lower bound of the cost is the sum of the robots' single exact distances. Ctrl-C before the search raises
+    The lower bound of the cost is the sum of each robot's exact distance if alone. Ctrl-C before the search raises
     ``KeyboardInterrupt``; during the search, it sets the solution's status.
     """
     from dataclasses import replace
@@ -175,7 +175,7 @@ def solve(
 def _build_heuristic(
     heuristic: Heuristic, problem: "Problem", exact: Sequence["VisibilityGraph"], max_bytes: int
 ) -> "tuple[HeuristicFn | None, list[Any]]":
-    """Return a heuristic and its PLRs; robots of equal size and goal share a PLR."""
+    """Return a heuristic (None: that of lattices) and its PLRs; robots of equal size and goal share a PLR."""
     from plr_jax import construct, robot_distance_fns, straight_line, sum_of_distances, zero
     from plr_jax.plr import ConstructionInterrupted
 
@@ -206,7 +206,7 @@ def _build_heuristic(
 
 
 def describe(robots: Sequence["Robot"]) -> str:
-    """Describe a team, as in ``2 discs of radius 0.4, 1 point``."""
+    """Return a description of a team, such as ``2 discs of radius 0.4, 1 point``."""
     return ", ".join(f"{n} {_body(robot, 's' if n > 1 else '')}" for robot, n in Counter(robots).items())
 
 

@@ -30,7 +30,7 @@ class PointTable:
     strict: bool = False
 
     def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
-        """Yield batches of points as lines arrive; ``ValueError`` for a table that is invalid as a whole."""
+        """Yield batches of points ``(n, dim)`` as lines arrive; ``ValueError`` if the table as a whole is invalid."""
         expected, num_lines, num_bad, is_empty = f"{self.dim} comma-separated numbers", 0, 0, True
         may_be_header = True
         for block in self._blocks(file):
@@ -78,7 +78,6 @@ class PointTable:
             warn(f"{self.name} has {num_bad:,} rows that are not points.")
 
     def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
-        """Yield blocks of whole lines as they arrive."""
         rest, num_lines = b"", 0
         while data := file.read1(_BLOCK_BYTES):
             if not num_lines and not rest:
@@ -99,7 +98,7 @@ class PointTable:
 
 
 def open_table(source: str) -> tuple[str, Any]:
-    """Return the name and byte stream of a file, or of standard input for ``-``."""
+    """Return the name and the byte stream of a file, or of standard input if ``source`` is ``-``."""
     if source != "-":
         return source, open(source, "rb")
     if sys.stdin is None:
@@ -108,7 +107,7 @@ def open_table(source: str) -> tuple[str, Any]:
 
 
 def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
-    """Print one row of answers per line, chunk by chunk."""
+    """Print each row of numbers on a line, comma-separated, as soon as its batch arrives."""
     for answers in chunks:
         line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
         sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))
@@ -116,7 +115,7 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
 
 
 def _is_header(line: bytes) -> bool:
-    """Return whether a line is a header: every name begins with a letter, and none is a number such as ``nan``."""
+    """Return whether a line is a header: all names begin with a letter or ``_``, and none is ``nan`` or ``inf``."""
     names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
     begin = all(name[0].isalpha() or name[0] == "_" for name in names)
     return bool(names) and begin and not any(map(numbers_of, names))

@@ -1,1 +1,1 @@
-"""Pairs of robots, and robots and walls, along simultaneous straight motions."""
+"""Collision tests of two robots, or of a robot and obstacles, along straight motions."""

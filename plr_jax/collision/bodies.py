@@ -1,11 +1,11 @@
 """Separation tests for convex bodies in straight motion, by bisection of the motions until a kernel is certain.
 
 In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
-Touching is no collision. A kernel looks for an axis that separates two bodies in a piece of their motions; the axis
-is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most an eighth of its
-largest second derivative. So the smaller gap at the two ends of the piece, less this *bulge*, is a lower bound. Each
-bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. A piece that is still
-uncertain after the last bisection counts as a collision.
+Touching is no collision. A kernel looks for an axis that separates two bodies during an interval (piece) of their
+motions; the axis is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most
+an eighth of its largest second derivative. So the smaller gap at the two ends of the piece, less this *bulge*, is a
+lower bound. Each bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. A piece
+that is still uncertain after the last bisection counts as a collision.
 """
 
 import math
@@ -27,7 +27,7 @@ Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
-    """Bodies in straight motion, one per column; the meaning of ``size`` is up to the kernel."""
+    """Bodies in straight motion, one per column; ``size`` is half sides of boxes, or vertices, as the tests need."""
 
     size: Float[np.ndarray, "*size n"]
     x: Column
@@ -43,11 +43,11 @@ class MovingBodies(NamedTuple):
         return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
-        """Return the bodies of some columns, given by index, mask or slice."""
+        """Return the bodies of some columns, chosen by indices, a mask or a slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
     def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
-        """Return the same motions for bodies that all have one size."""
+        """Return the same motions for bodies that all have the same size."""
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
@@ -58,7 +58,7 @@ class MovingBodies(NamedTuple):
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """Return a robot's motions, without sizes; the heading of a robot without one is 0."""
+    """Return a robot's motions from ``q0`` to ``q1``, with an empty ``size``; headings are 0 if it has none."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
         heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
@@ -74,9 +74,10 @@ SeparationKernel: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verd
 def bisect(
     kernel: SeparationKernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Return whether bodies certainly keep the distance ``reach``, bisecting motions until the kernel is certain.
+    """Return whether bodies certainly keep the distance ``reach``; bisect motions until the kernel is certain.
 
-    A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
+    ``kernel`` returns which motions certainly do, and which certainly do not. A negative ``reach`` is an allowed
+    depth of overlap. Depth-first order in small batches bounds the memory.
     """
     k, m = a.num_corners, b.num_corners
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # a distance takes all pairs of corners
@@ -101,10 +102,9 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
-    """Return the bulges of gaps along an axis that turns with ``a``, and along one that turns with ``b``.
+    """Bound by how much gaps along axes that turn with ``a``, and with ``b``, fall below those at both ends.
 
-    They cover the offset and the turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed
-    radius.
+    Bounds cover the motion and turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed radius.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
@@ -115,7 +115,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Colu
 
 
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
-    """Return the unit normal of the relative motion, or the y axis if there is none."""
+    """Return the unit normal of each relative motion; ``(0, 1)`` if the bodies do not move against one another."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
@@ -128,10 +128,11 @@ Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Kernel for convex bodies, given by counterclockwise vertices ``(2, vertices)`` in their own frames.
+    """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not.
 
-    It tries the normals of all sides, which turn with their body, and the normal of the relative motion. If ``reach``
-    is positive, it also tries the line through the nearest points, which makes the result exact if nothing turns.
+    Bodies are counterclockwise vertices ``(2, vertices, n)`` in their own frames. The tested axes are the normals of
+    all sides, which turn with their body, and the normal of the relative motion. If ``reach`` is positive, the line
+    through the nearest points is tested too, which makes the result exact if nothing turns.
     """
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
@@ -152,7 +153,7 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
 
 
 def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
-    """Return both bodies' corners at one end of each motion, relative to the first reference point."""
+    """Return both bodies' corners at one end (0 or 1) of each motion, relative to the reference point of ``a``."""
     turned = []
     for body in (a, b):
         (c, s), (x, y) = _heading(body, end), body.size
@@ -170,7 +171,7 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Return the gaps between two bodies along the normals of the first one's sides; one corner has no sides."""
+    """Return the gaps between two bodies along the normals of the first one's sides; a single corner has no sides."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -179,7 +180,7 @@ def _side_gaps(p: Corners, q: Corners) -> Sides:
 
 
 def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
-    """Return the least scalar product of a body's corners with each direction."""
+    """Return the least scalar product of a body's corners with each direction ``(nx, ny)``."""
     num_corners, n = q.shape[1:]
     stride = 1 << ((num_corners - 1) // _FEW).bit_length()
     heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
@@ -198,13 +199,13 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """Return the smaller of the gaps at both ends along a direction from the first body to the second."""
+    """Return the gap between both bodies along a fixed direction, at the end of the motion where it is smaller."""
     gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
     return np.minimum(*gaps)
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the direction in which two bodies are nearest to one another, and their distances at both ends.
+    """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end.
 
     The swept Minkowski difference is nearest to the origin on an edge: a side less a corner, or a corner's path less
     a corner.
@@ -223,7 +224,7 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
 
 
 def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Kernel for two boxes and a depth of overlap: axes along the sides, and the normal of the relative motion."""
+    """Return which motions certainly keep two boxes ``reach`` (at most 0) apart, and which certainly do not."""
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
@@ -243,7 +244,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Kernel for a box and a point, in the frame of the box, where the point's curve is close to a segment."""
+    """Return which motions certainly keep a box ``a`` ``reach`` from a point ``b``, and which certainly do not."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
@@ -260,7 +261,7 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
-    """Return the offset of the centers and the sum of both half widths, along two sides of ``a`` and two of ``b``."""
+    """Return the centers' offset and the sum of half widths, along the two axes of ``a``, then those of ``b``."""
     (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
@@ -278,7 +279,7 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distances of segments to boxes around the origin; negative depths where they cross."""
+    """Return the distance of each segment to a box around the origin; minus the depth of overlap if they cross."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

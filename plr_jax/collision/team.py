@@ -49,7 +49,7 @@ class Circles(NamedTuple):
 
 
 class TeamTrajectory:
-    """A copy of a team's path whose motions can be replaced, with a circle around each motion."""
+    """A copy of a team's path whose motions can be replaced, with a circle around each robot's body in each one."""
 
     def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
         self.path = path.copy()
@@ -59,7 +59,7 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s motions in some rows of the path, which must begin and end as before."""
+        """Replace robot ``i``'s configurations in some rows of the path; the first and last must be as before."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -68,7 +68,10 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return rows and robots that may meet robot ``i``, which is in ``around[row]`` during ``motion[row]``."""
+        """Return pairs of an index ``k`` and a robot that may meet robot ``i``, as two arrays.
+
+        Robot ``i``'s reference point stays in circle ``around[k]`` during the path's motion ``motion[k]``.
+        """
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -87,30 +90,28 @@ class TeamTrajectory:
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
-    """Return the rows in which two robots may meet if their positions stay within circles."""
+    """Return the rows in which two robots may meet, if their reference points stay within given circles."""
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return circles around the motions from any of ``k`` positions to any of ``l`` positions, in each row."""
+    """Return, for each row, a circle around all straight motions from the ``k`` first to the ``l`` last positions."""
     return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return circles around the motions from any position in a row to any position in the next row."""
+    """Return, for each row but the last, a circle around all motions from its positions to the next row's."""
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
 
 def _between(one: Circles, other: Circles) -> Circles:
-    """Return circles around all motions from one circle to another."""
     radius = np.hypot(other.x - one.x, other.y - one.y) / 2 + np.maximum(one.radius, other.radius)
     return Circles((one.x + other.x) / 2, (one.y + other.y) / 2, radius)
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
-    """Return circles around the positions in each row."""
     if q.shape[1] == 1:
         return Circles(q[:, 0, 0], q[:, 0, 1], np.zeros(len(q)))
     lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
@@ -123,9 +124,9 @@ def motions_apart(
 ) -> Apart:
     """Return whether two robots keep clear of one another while they move from ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    The batch shapes broadcast. An overlap up to ``tolerance``, usually ``Workspace.tolerance``, counts as touching,
-    which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion may be
-    rejected that comes within about 1e-7 of a robot's size to a collision, but no collision is accepted.
+    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance``, usually ``Workspace.tolerance``, counts as
+    touching, which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion may
+    be rejected that comes within about 1e-7 of a robot's size to a collision, but no collision is accepted.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -167,7 +168,7 @@ def motions_apart(
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """A test whether straight joint motions of a team hit no obstacle and no other robot, up to a deadline."""
+    """A test of straight motions of a whole team: they may hit no obstacle and no other robot; it has a deadline."""
 
     workspace: Workspace
     robots: Sequence[Robot]
@@ -180,7 +181,7 @@ class JointMotionTest:
 
     @cached_property
     def first_equal(self) -> Int[np.ndarray, "robots"]:
-        """For each robot, the first robot that equals it."""
+        """For each robot, the lowest index of a robot that equals it."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
@@ -200,7 +201,7 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return which motions of robot ``i`` collide with given motions of other robots along a trajectory."""
+        """Return which motions of robot ``i`` collide with robots ``other`` in motions ``motion`` of a trajectory."""
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

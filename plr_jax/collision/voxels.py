@@ -1,4 +1,4 @@
-"""Tests whether a ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
+"""Tests whether a point or ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
 
 from collections.abc import Iterator
 from fractions import Fraction
@@ -19,9 +19,9 @@ Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Return whether a blocked voxel is nearer than a radius to boxes, exact up to rounding.
+    """Return whether some point of a blocked voxel is nearer than a radius to each box, exact up to rounding.
 
-    With ``lo`` and ``hi`` swapped: whether one blocked voxel is nearer than the radius to all of a box.
+    With ``lo`` and ``hi`` swapped: whether a single blocked voxel is nearer than the radius to all points of a box.
     """
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
@@ -43,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield rows of voxels along the last axis within a radius of boxes: box, first and last voxel of each row."""
+    """Yield rows of voxels, along the last axis, near boxes: index of the box, first and last voxel of the row."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -71,7 +71,7 @@ def _gaps(
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Return whether a ball keeps clear of blocked voxels on straight motions, exact up to rounding."""
+    """Return whether a ball hits no blocked voxel on straight motions, exact up to rounding; touching is allowed."""
     passes = np.zeros(q0.shape[1], bool)
     for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
         some = slice(begin, begin + _MOTIONS_AT_ONCE)
@@ -80,7 +80,7 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
 
 
 def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Bisect motions, and test pieces near blocked voxels, until they are short or certainly collide."""
+    """Bisect motions until the intervals near blocked voxels are short; test those exactly."""
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion, share = np.flatnonzero(keeps_off), 1.0
     begin = np.zeros(len(motion))
@@ -105,7 +105,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Yield blocked voxels nearer than a radius to boxes, in batches of boxes and voxels."""
+    """Yield batches of pairs: the index of a box, and a blocked voxel nearer to it than a radius."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -116,7 +116,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Return each motion's least squared distance to its voxel; the square is convex and piecewise parabolic."""
+    """Return the least squared distance of each straight motion to its own voxel."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -149,7 +149,7 @@ def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
 
 
 class _Traversal:
-    """Exact traversal of voxels along many motions at once, one crossing of faces per step.
+    """An exact traversal of voxels along many motions at once, from one crossed face to the next.
 
     A motion within a face or an edge touches several voxels at once. So the state of a motion is the set of voxels,
     among the ``2**dim`` around its current point, that it can be in. It cannot pass between blocked voxels that share
@@ -169,7 +169,7 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
-        """Return whether each motion reaches its end."""
+        """Return whether each motion reaches its end through free voxels."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)
@@ -185,7 +185,7 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, "some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        """Move each motion across its next faces; return which voxels beyond them it can be in."""
+        """Move across the next faces; return which of the voxels around the new points each motion can be in."""
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
@@ -208,12 +208,12 @@ class _Traversal:
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 
     def _free_around(self, rows: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        """Return which of the voxels around the current points, and up to ``span`` beyond, are free."""
+        """Return, for each motion, which of the ``2**dim`` voxels at offsets 0 or ``span`` per axis are free."""
         at = self.strides @ self.at[:, rows]
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Return the axes of the faces that are crossed next or nearly next, and the faces' coordinates."""
+        """Return the axes whose faces are crossed next, or nearly at the same time, and the faces' coordinates."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
@@ -225,7 +225,7 @@ class _Traversal:
 def _first_crossed(
     crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
 ) -> Bool[np.ndarray, "dim n"]:
-    """Select the faces that are crossed first among faces crossed nearly at once, in rational arithmetic."""
+    """Keep only the faces that are crossed first, by rational arithmetic, among faces crossed nearly at once."""
     first = np.zeros_like(crossed)
     for i in range(crossed.shape[1]):
         axes = np.flatnonzero(crossed[:, i])

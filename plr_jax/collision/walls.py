@@ -38,7 +38,7 @@ Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
 class MotionTest:
-    """A test whether straight motions of a robot are free of obstacles and within the bounds; touching is free.
+    """A test whether straight motions keep a robot off obstacles and within the bounds; touching is allowed.
 
     The position moves at constant velocity, and the heading turns at a constant rate, the shorter way. The
     constructor and the tests raise ``TimeoutError`` past the deadline, on the clock of ``time.perf_counter``.
@@ -93,7 +93,7 @@ class MotionTest:
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
-        """Return whether a point robot is where obstacles touch, and must leave on the side that it came from."""
+        """Return whether a point robot is where obstacles touch and paths may not pass; False for other robots."""
         boundary = self.workspace.boundary
         if self.workspace.squeeze or not self._is_point or not len(boundary.contacts):
             return np.zeros(q.shape[:-1], dtype=bool)
@@ -101,7 +101,7 @@ class MotionTest:
         return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Return whether the robot is certainly free wherever its reference point is within circles."""
+        """Return whether the robot is certainly free, at any heading, with its reference point in given circles."""
         cell, away = self._locate(x, y)
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
@@ -127,7 +127,7 @@ class MotionTest:
         return clear
 
     def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, "n"], Column]:
-        """Return the cell of each point (the nearest cell outside the grid), and the distance to its center."""
+        """Return the grid cell of each point (the nearest one for points outside), and the distance to its center."""
         lo, (columns, rows) = self.workspace.bounds.lo, self._shape
         column = np.clip((x - lo[0]) / self._cell, 0, columns - 1).astype(np.intp)
         row = np.clip((y - lo[1]) / self._cell, 0, rows - 1).astype(np.intp)
@@ -148,7 +148,7 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
-        """Return whether pieces of motions keep clear of the walls near their cells."""
+        """Return whether intervals of motions keep clear of the walls stored for their cells of the grid."""
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
@@ -197,14 +197,14 @@ _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
-    """Return the cached motion test of a robot in a workspace; raise ``TimeoutError`` past the deadline."""
+    """Return the motion test of a robot in a workspace, from a cache; raise ``TimeoutError`` past the deadline."""
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
 
 
 def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
-    """Cut motions into equal pieces up to ``longest``; also return the motion of each, or None if none was cut."""
+    """Cut motions into equal parts up to ``longest``; also return each part's motion, or None if all are whole."""
     whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():

@@ -39,10 +39,9 @@ class SumOverRobots:
     is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
-        """Return the estimated cost-to-go of joint configurations ``(n, robots, dof)``, in workspace units.
+        """Return estimated costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``, in workspace units.
 
-        The result ``(n,)`` is never NaN, and ``inf`` where a robot has no estimate. ``ValueError`` for another shape
-        or team size.
+        They are never NaN, and ``inf`` where a robot's term is. ``ValueError`` for another shape or team size.
         """
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.
@@ -126,7 +125,7 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
 
 
 def require_heuristic(heuristic: object) -> None:
-    """Raise ``ValueError`` unless a heuristic has per-robot terms; hint if it is a factory that was not called."""
+    """Raise ``ValueError`` unless a heuristic has a method ``per_robot``; hint if it is a factory not yet called."""
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             name = factory.__name__
@@ -137,7 +136,7 @@ def require_heuristic(heuristic: object) -> None:
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """Return a heuristic's values, negative ones as 0 and masked ones as ``inf``; refuse NaN and wrong shapes."""
+    """Return a heuristic's values, negative ones as 0, masked ones as ``inf``; refuse NaN and wrong shapes."""
     numbers = as_numbers("The result of a heuristic", with_inf_for_masked(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
@@ -147,7 +146,7 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
 
 
 def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    """Call the distance functions one by one, each with as many leading coordinates as it takes."""
+    """Return all distances ``(n, robots)``; functions get the first ``dim`` coordinates, or all without a ``dim``."""
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]

@@ -27,7 +27,7 @@ _MOST_BYTES = 2**26  # largest file: a path of about three million numbers
 
 
 class Status(enum.StrEnum):
-    """Reason why a planner ended; the value is a message."""
+    """Reason why a planner ended; its value is a phrase for messages."""
 
     SOLVED = "a path within the cost factor was found"
     EXHAUSTED = "the frontier is empty: no path, or none within the cost factor, on this lattice"
@@ -43,13 +43,13 @@ class Stats:
 
     Args:
         num_nodes: Joint configurations stored: nodes of the searches, or samples of a sampling-based planner.
-        num_expansions: Expansions of nodes; for LaCAM, attempted steps of the team.
-        num_children_scored: Scored joint children, including partial ones of the first robots; for LaCAM, motions of
-            robots.
-        num_children_valid: Children found free of collision; for LaCAM, steps found.
-        seconds: Wall-clock seconds of each phase.
+        num_expansions: Search nodes expanded; for LaCAM, attempted steps of the whole team.
+        num_children_scored: Next joint configurations (children) scored, including those of the first robots only;
+            for LaCAM, motions of single robots.
+        num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
+        seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
-        found_by: Origin of the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
+        found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
         num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, with everything stored beside
             them. It exceeds the memory limit if that limit ruled out lattices.
     """
@@ -185,9 +185,8 @@ class Solution:
             "status":      name of a Status, such as "SOLVED"
             "cost":        number, or null if there is no path; likewise "makespan"
             "lower_bound": number or null; likewise "motions_factor"
-            "path":        [[[x, y], ...], ...]: per row, one configuration per robot ([x, y, heading] if any robot
-            has
-                           a heading); null if there is no path
+            "path":        [[[x, y], ...], ...]: per row, one configuration per robot, [x, y, heading] if any robot
+                           has a heading; null if there is no path
             "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
             "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
                             "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
@@ -220,7 +219,7 @@ def make_solution(
     samples: Float[np.ndarray, "nodes robots dof"],
     motions_factor: float = math.inf,
 ) -> Solution:
-    """Return a solution whose cost, makespan and times are computed from its path."""
+    """Return a solution with a path's cost, makespan and times; without a path, ``motions_factor`` is ignored."""
     if path is None:
         return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
@@ -228,7 +227,7 @@ def make_solution(
 
 
 def straight_line_bound(problem: Problem) -> float:
-    """Return a lower bound of all path costs: the sum of the costs of straight motions to the goals."""
+    """Return a lower bound of the cost of every path: the cost of straight motions of all robots to their goals."""
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
@@ -305,7 +304,7 @@ class BLOptions:
             distances).
         time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
             computation of costs-to-go, is not interrupted.
-        max_expansions: Largest number of expansions; deterministic, unlike the time limit.
+        max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.
 
     Raises:
@@ -345,7 +344,7 @@ def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
 
 @dataclass
 class SearchBudget:
-    """Limits of a planner and its counters; the deadline is on the clock of ``time.perf_counter``."""
+    """Limits of a planner, and counters of its effort; ``deadline`` is a time of ``time.perf_counter``."""
 
     deadline: float
     max_expansions: float | int
@@ -357,20 +356,20 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the limit that is reached, or None."""
+        """Return the status of a limit that is reached, or None; one more expansion must be allowed."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return the limit of time or memory if it is reached, else None; ignore expansions."""
+        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 class MemoryUse:
-    """Bytes of one data structure, counted against a budget until they are released."""
+    """Bytes of one data structure, counted in ``budget.memory`` until they are released."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0

@@ -1,4 +1,4 @@
-"""Best-first search over joint configurations, after Barraquand and Latombe, with partial expansion of nodes."""
+"""Best-first search over joint configurations, after Barraquand and Latombe; a beam search finds the children."""
 
 import heapq
 import math
@@ -34,22 +34,22 @@ Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robo
 
 
 class Successors(NamedTuple):
-    """The best children of some joint configurations, best first."""
+    """The best children (next joint configurations) of ``n`` joint configurations, the best first."""
 
     score: Float[np.ndarray, "n m"]  # sum of the robots' terms; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
-    num_scored: int  # scored joint children, including partial ones of the first robots only
-    num_valid: int  # collision-free children of all robots
+    num_scored: int  # children scored, including those in which only the first robots have moved
+    num_valid: int  # collision-free children in which every robot has moved, over all nodes
     is_complete: Bool[np.ndarray, "n"]  # whether no collision-free child is missing
 
 
 def best_successors(
     joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int
 ) -> Successors:
-    """Find the best children of joint configurations by beam search, adding one robot at a time.
+    """Find the best children of joint states by beam search, adding one robot at a time.
 
-    Before the next robot joins, the joint primitives of the earlier robots are cut to the ``width`` best. The
-    ``terms`` score each robot's primitives by node; they are ``inf`` where blocked.
+    Before the next robot joins, only the ``width`` best joint motions of the earlier robots are kept.
+    ``terms[robot]`` has the score of each motion primitive at each lattice node; ``inf`` if it is blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -78,7 +78,7 @@ def best_successors(
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
-    """Evaluate a heuristic's terms on the robots' lattices; raise ``TimeoutError`` past the deadline."""
+    """Return, for each robot, the heuristic's term at all nodes of its lattice; ``TimeoutError`` if time is up."""
     size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
@@ -92,7 +92,7 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
-    """The stored successors of an expanded node, best first."""
+    """The stored children of an expanded node, the best first."""
 
     score: Float[np.ndarray, "m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, "m"]  # cost-to-come
@@ -104,10 +104,10 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search in which each joint configuration is claimed by the first node that reaches it.
+    """A best-first search in which each joint configuration belongs to the first node that reaches it.
 
-    The node with the least sum of cost-to-come and weighted heuristic is expanded first. It adds one child at a time,
-    and returns to the frontier with the score of its next child. An infinite estimate prunes nothing.
+    The node with the least sum of cost-to-come and weighted heuristic is expanded first. Only its best child joins
+    the tree, and the node is queued again with the score of its next child. Infinite estimates prune nothing.
     """
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
@@ -133,7 +133,7 @@ class BestFirstSearch:
         budget.num_nodes += 1
 
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
-        """Search for up to ``max_expansions`` more expansions; return why the search ended, or None for a pause."""
+        """Search for about ``max_expansions`` expansions; return why the search ended, or None if it may go on."""
         last = self.num_expansions + max_expansions
         while self.found is None and self.frontier and self.num_expansions < last:
             if limit := self.budget.exceeded():
@@ -155,7 +155,7 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
-        """Joint states from the starts to the goals, once these are found."""
+        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
         while self.parents[node] >= 0:
@@ -165,11 +165,10 @@ class BestFirstSearch:
 
     @property
     def node_states(self) -> State:
-        """Joint states of all nodes, in the order of creation."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
-        """Find successors for those nodes that have none stored."""
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
@@ -207,7 +206,7 @@ class BestFirstSearch:
                 self.budget.num_expansions += len(some)
 
     def _add_child(self, node: int) -> None:
-        """Claim a node's next unclaimed child, and reinsert the node with the score of the child after it."""
+        """Add a node's best child that is not in the tree; queue the node again with the score of its next child."""
         successors, is_added = self.successors[node], False
         for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]
@@ -241,6 +240,6 @@ class BestFirstSearch:
 
 
 def bytes_of_tables(joint: JointLattice) -> int:
-    """Estimate the memory of the score tables of best-first search."""
+    """Estimate the memory, in bytes, of the score tables of best-first search on some lattices."""
     sizes = [(lattice.kind.child.size, len(lattice.q)) for lattice in joint.lattices]
     return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)

@@ -91,13 +91,13 @@ def bl_plan(
 
     1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
        one is found.
-    2. Robots move on lattices with exact starts and goals. Two searches alternate, on finer and finer lattices, until
-       one succeeds. LaCAM moves the whole team one step at a time: by priority inheritance (PIBT), each robot takes
-       its best free motion and pushes others out of its way. It is fast in the open and at doors, even for a hundred
-       robots. Best-first search, after Barraquand and Latombe, expands joint configurations as A* does, and claims
-       each only once. It finds coordinated maneuvers, such as a swap in a tight place.
-    3. Robots are replanned along the lattices, one by one among the others. Then straight shortcuts, and deviations
-       within narrow corridors, shorten the path.
+    2. Robots move on lattices (grids of configurations) that include the exact starts and goals. Two searches
+       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: by
+       priority inheritance (PIBT), each robot takes its best free motion and pushes others out of its way. It is fast
+       in the open and at doors, even for a hundred robots. Best-first search expands joint configurations as A* does,
+       but each only once. It finds coordinated maneuvers, such as a swap in a tight place.
+    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
+       and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
        smaller weights.
 
@@ -131,7 +131,7 @@ def bl_plan(
 
 
 class Run:
-    """A call of the planner: its best path so far, and the searches that improve it."""
+    """A call of :func:`bl_plan`: the best path so far, and the searches that improve it."""
 
     progress: tqdm  # set while lattices are searched
 
@@ -156,13 +156,13 @@ class Run:
             self.history.append((seconds, cost))
 
     def end_phase(self, phase: str) -> None:
-        """Add the seconds since the last phase ended to this phase."""
+        """Add the seconds since the last call to the time of a phase."""
         now = time.perf_counter()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
         self._mark = now
 
     def try_sequential_path(self) -> Status | None:
-        """Move the robots one after the other if possible; return SOLVED if this is accepted or optimal."""
+        """Compute the lower bound; try to move robots one after the other; return SOLVED if that path suffices."""
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             path = sequential_path(self.problem)
             self.end_phase("search")
@@ -178,7 +178,7 @@ class Run:
         return Status.SOLVED if self.cost <= accepted_cost else None
 
     def search_until_limit(self) -> Status:
-        """Search and improve the path until its cost is accepted or a limit is reached."""
+        """Search until the path's cost is accepted, a limit is reached or no search is left; return the reason."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, self._fits)
         if weight is None:
@@ -201,7 +201,10 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
-        """Search finer and finer lattices in turns until one search succeeds; return the status and the last step."""
+        """Run searches on finer and finer lattices, in turns, until one succeeds or a limit is reached.
+
+        Return the status, and the step of the lattices whose search ended this, or else the next step to be tried.
+        """
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         try:
@@ -249,7 +252,7 @@ class Run:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """Build the lattices of a step; return None if a robot's goal is unreachable on them, or time is up."""
+        """Build lattices of cell size ``step`` or half of it; None if a goal is unreachable on them or time is up."""
         problem = self.problem
         straight, joint = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
         try:
@@ -276,7 +279,7 @@ class Run:
             self.end_phase("lattice")
 
     def _improve(self, searches: "Searches") -> None:
-        """Offer the path that a search found, then replan and shorten it until its cost is accepted."""
+        """Offer the path that a search found, then replan and shorten it, at most until its cost is accepted."""
         found_by, state = searches.found
         path, factor = self._path(searches, state)
         self.offer(path, found_by, factor)
@@ -298,7 +301,7 @@ class Run:
             self.offer(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
-        """Replan the robots one by one among the others, then neighborhoods of robots while the cost falls."""
+        """Return a path (lattice nodes of all robots) of no higher cost: replan single robots, then small groups."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
         rows = np.concatenate([state, waiting])
@@ -329,7 +332,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path of joint states, and its cost over the sum of the robots' least costs."""
+        """Return the path along lattice nodes ``state`` of all robots, and its cost over the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -337,7 +340,7 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Return whether the lattices of a step fit into memory; record the memory that they need."""
+        """Return whether lattices of cell size ``step`` fit into memory; store the memory needed in ``num_bytes``."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -352,7 +355,7 @@ _TURNING = 4  # time of a motion test with turns, over the time without
 
 
 def num_bytes(problem: Problem, step: float) -> float:
-    """Estimate the memory of the lattices of a step, assuming that all cells are free."""
+    """Estimate the memory, in bytes, of lattices of cell size ``step``, supposing that all cells are free."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
@@ -361,7 +364,7 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the number of motion tests that the lattices of a step need, in tests of round robots."""
+    """Estimate the time to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
@@ -380,7 +383,7 @@ _TURN_GROWTH = 1.5
 
 
 class Searches:
-    """LaCAM and best-first search, or one of them, on the lattices of one step."""
+    """LaCAM, best-first search, or both in turns, on lattices (grids of configurations) of one cell size."""
 
     def __init__(
         self,
@@ -403,7 +406,7 @@ class Searches:
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Run each search for one turn, then lengthen turns; return why a search ended, or None for a pause."""
+        """Run each search for one turn, longer at every call; return why one ended, or None if they may go on."""
         budget, status = self.budget, None
         num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
         if finds_all:
@@ -426,27 +429,27 @@ class Searches:
 
     @property
     def found(self) -> tuple[str, State]:
-        """The name of the search that reached the goals, and its joint states from the starts to the goals."""
+        """Name of the search that reached the goals, and the lattice nodes of all robots, ``(steps, robots)``."""
         return next(
             (name, search.solution_states) for name, search in self.running.items() if search.found is not None
         )
 
     @property
     def node_states(self) -> State:
-        """Node states of the search that has more nodes, or the starts if there is no search yet."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in the search with the most nodes, or at the starts."""
         starts = np.array([[lattice.start for lattice in self.joint.lattices]])
         return max((search.node_states for search in self.running.values()), key=len, default=starts)
 
     @property
     def num_bytes_needed(self) -> int:
-        """Additional memory that best-first search needs to begin."""
+        """Additional memory, in bytes, that best-first search needs to begin; 0 once it runs."""
         return 0 if "bl" in self.running else bytes_of_tables(self.joint)
 
 
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the first step: fine enough for robots to pass one another, coarse enough to build quickly."""
+    """Choose the first lattices' cell size: robots should have room to pass, and ``fits(step)`` should hold."""
     # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]

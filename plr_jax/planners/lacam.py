@@ -1,10 +1,10 @@
 """LaCAM: a lazy search over joint configurations, which adds constraints to the team steps that PIBT finds.
 
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
-priorities. A robot takes its best primitive that keeps clear of all chosen ones. Robots that can then no longer stay
-in place must make way: they choose next, and if one of them fails, the primitive is given up. Every robot without a
-choice can thus stay in place, so that without constraints a step always exists. Robots have a shape here, so one
-robot may ask several others to make way.
+priorities. A robot takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen
+ones. Robots that can then no longer stay in place must make way: they choose next, and if one of them fails, the
+primitive is given up. Every robot without a choice can thus stay in place, so that without constraints a step always
+exists. Robots have a shape here, so one robot may ask several others to make way.
 
 References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
 Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The motions of each robot from a joint configuration."""
+    """The motion primitives of each robot from a joint configuration, and which of them collide."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
@@ -45,7 +45,7 @@ class Moves(NamedTuple):
 
 
 class TeamMoves:
-    """A callable that computes the team's :class:`Moves`; past the deadline it raises ``TimeoutError``."""
+    """A callable that computes the :class:`Moves` of a team; past the deadline it raises ``TimeoutError``."""
 
     def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
@@ -57,7 +57,7 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
-        """Return the moves from a joint node."""
+        """Return the motion primitives of all robots from a joint state, best first, and which of them collide."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -103,7 +103,7 @@ class TeamMoves:
         cells: Int[np.ndarray, "m 2"],
         neighbors: list[list[tuple[int, list[Bits]]]],
     ) -> None:
-        """Add pairs of neighbors of one kind at cell centers; collisions depend only on their offset in cells."""
+        """Add to ``neighbors`` the collisions of robots ``i`` and ``j`` of kind ``k`` that are ``cells`` apart."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -119,11 +119,11 @@ class TeamMoves:
                 neighbors[other].append((robot, known[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
-        """Return the heuristic of each robot."""
+        """Return the heuristic's term of each robot at its lattice node."""
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield pairs of robots that primitives may bring together, grouped by their two kinds."""
+        """Yield kinds ``a`` and ``b``, and robots of these kinds that are near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -139,12 +139,12 @@ class TeamMoves:
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
-    """Convert each row of flags to a set of primitives: the bits of an integer."""
+    """Return, for each ``m`` and ``p``, the set of all ``q`` whose flag is set, as the bits of an integer."""
     return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
 class PIBT:
-    """The construction of one step of the team: chosen primitives, and primitives that are still allowed."""
+    """A search for one step of the team: motion primitives chosen so far, and primitives that these still allow."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -156,7 +156,7 @@ class PIBT:
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return all robots' primitives, chosen in ``order``, or None; ``constraints`` prescribe some of them."""
+        """Return one motion primitive per robot, free of collisions, or None; ``constraints`` are prescribed ones."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -170,7 +170,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose the best primitive that others can make way for; return whether there is one."""
+        """Choose a robot's best motion for which robots in its way can make room; return whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -181,7 +181,7 @@ class PIBT:
         return False
 
     def _choose(self, robot: int, primitive: int) -> list[int]:
-        """Choose a primitive and disallow those that collide with it; return robots that cannot stay in place."""
+        """Choose a robot's motion and disallow others that collide with it; return robots that can no longer stay."""
         chosen, allowed, in_the_way = self.chosen, self.allowed, []
         chosen[robot] = primitive
         self._robots.append(robot)
@@ -197,7 +197,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Let robots that cannot stay in place choose; return whether all succeed."""
+        """Choose motions of robots that cannot stay in place; return whether all of them find one."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -208,7 +208,6 @@ class PIBT:
         return True
 
     def _undo(self, num_chosen: int, num_changes: int) -> None:
-        """Undo choices and changes until the given numbers of them are left."""
         while len(self._changes) > num_changes:
             robot, allowed = self._changes.pop()
             self.allowed[robot] = allowed
@@ -228,11 +227,10 @@ class Node:
 
 
 class LaCAM:
-    """Depth-first search in which the newest node makes one more step of the team, until all are at their goals.
+    """A depth-first search: the newest node makes one more step of the whole team, until all are at their goals.
 
-    The first step of a node is unconstrained. Each later step constrains one more robot, in the order of priorities,
-    to another primitive; in the end all steps are tried. A step to a known node puts that node on top of the stack
-    again.
+    A node's first step is unconstrained. Later steps prescribe primitives of more and more robots, in the order of
+    priorities, so that in the end all steps are tried. A known node that is reached again becomes the newest.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
@@ -249,7 +247,7 @@ class LaCAM:
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search until ``max_idle`` steps in a row make no progress; return the reason to stop, None for a pause."""
+        """Search until ``max_idle`` steps in a row bring no progress; return why it ended, None if it may go on."""
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():
@@ -279,7 +277,7 @@ class LaCAM:
 
     @property
     def solution_states(self) -> Int[np.ndarray, "n robots"]:
-        """Joint states from the starts to the goals, once these are found."""
+        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
         states, node = [], self.found
         while node is not None:
             states.append(node.state)
@@ -288,11 +286,10 @@ class LaCAM:
 
     @property
     def node_states(self) -> Int[np.ndarray, "n robots"]:
-        """Joint states of all nodes, in the order of creation."""
+        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
-        """Push a joint state on the stack, as a new node unless it is known."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:

@@ -1,8 +1,9 @@
 """Lattices: the configurations that robots visit in a search, and the motions between them.
 
-A lattice is a grid of cells over a robot's configuration space, periodic in the heading. The representative of a cell
-is its center if that is free, else its free sample with the largest clearance; a passage narrower than a cell is thus
-still found. A primitive is a motion between representatives of neighboring cells.
+A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
+configuration in a cell, its representative: the center if that is free, else the free sample with the largest
+clearance; a passage narrower than a cell is thus still found. A primitive is a motion between neighboring cells'
+representatives.
 
 Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
 nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their cells. If
@@ -47,7 +48,7 @@ Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n p
 
 
 class Terminals(NamedTuple):
-    """Starts (column 0) and goals (column 1) of a kind's robots; they replace the cells' representatives."""
+    """Starts (column 0) and goals (column 1) of a kind's robots: their nodes, their cells, and motions into them."""
 
     node: Int[np.ndarray, "robots 2"]
     cell: Int[np.ndarray, "robots 2"]  # nodes of the cells' representatives, which the robot never visits
@@ -58,7 +59,7 @@ class Terminals(NamedTuple):
 
 
 class Kind:
-    """Robots of one kind: their shared table of motions, and the same motions as edges of a graph.
+    """Robots of equal shape and rotation weight: a table of their motions, and the same motions as edges of a graph.
 
     Nodes are the representatives of the ``num_cells`` free cells, then the starts and goals, which no primitive of
     the table leads to. Primitive 0 stays in place. A primitive that leaves the lattice or hits an obstacle leads to
@@ -94,7 +95,7 @@ class Kind:
         self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return target and cost of the primitives of nodes, for one robot ``row``, or for all robots at once."""
+        """Return target nodes and costs of the motion primitives, from nodes of robot ``row`` or one per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -106,7 +107,7 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        """For each node, the shared edges that end there, padded with ``num_edges``."""
+        """For each node, the edges into it that all robots share, padded with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))
@@ -115,7 +116,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges of one robot that end there, padded with ``num_edges``."""
+        """Return, for each node, the edges into it that the ``row``-th robot may use, padded with ``num_edges``."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -125,25 +126,25 @@ class Kind:
 
     @cached_property
     def _sorted_edges(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Edges sorted by begin and end node, cheaper parallel edges first, and the sort keys."""
+        """Indices of the edges, sorted by begin node, end node and cost, and their keys (begin and end node)."""
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
-        """Return the cheapest edges along a path of nodes."""
+        """Return the cheapest edge of each motion along a path of nodes."""
         order, key = self._sorted_edges
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
     def _cheapest_edges(self) -> Int[np.ndarray, "m"]:
-        """Shared edges, without loops and without parallel edges that are not cheapest."""
+        """Edges that all robots share, without loops: one cheapest edge for each pair of nodes."""
         order, key = self._sorted_edges
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
-        """Return the least cost from each node to the goals of some robots, ``inf`` where unreachable."""
+        """Return the least cost from every node to the goal of each robot in ``rows``, ``inf`` where unreachable."""
         # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
         num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
@@ -157,14 +158,14 @@ class Kind:
         return costs
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
-        """Return the least cost from one robot's start to each node except its goal, ``inf`` where unreachable."""
+        """Return the least cost from robot ``row``'s start to every node but its goal, ``inf`` if unreachable."""
         edge = self._cheapest_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
         return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:
-    """The nodes and motions of one robot; its start and goal replace the representatives of their cells."""
+    """The nodes and motions of robot ``row`` of a kind; its start and goal replace their cells' representatives."""
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
@@ -176,18 +177,18 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Target node of each node's primitives."""
+        """Node to which each motion primitive (motion to a neighboring cell) leads from each node."""
         return self._motions[0]
 
     @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """Cost of each node's primitives."""
+        """Cost of each motion primitive (motion to a neighboring cell) from each node; ``inf`` if it is blocked."""
         return self._motions[1]
 
 
 @dataclass(frozen=True, eq=False)
 class JointLattice:
-    """The lattices of all robots of a problem, grouped by kind, with the team's motion test."""
+    """The lattices of all robots, grouped by kind (robots of equal shape and rotation weight), and a motion test."""
 
     problem: Problem
     step: float
@@ -197,7 +198,7 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, "_"]]:
-        """For each robot, the least cost from each node to its goal if it is alone; ``inf`` where unreachable."""
+        """For each robot, the least cost from each lattice node to its goal, if alone; ``inf`` where unreachable."""
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -209,20 +210,20 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, "robots"]:
-        """Least cost of each robot from start to goal if it is alone; ``inf`` if its goal is unreachable."""
+        """Least cost of each robot on its lattice from start to goal, if alone; ``inf`` if it cannot get there."""
         return np.array(
             [costs[lattice.start] for costs, lattice in zip(self.costs_to_go, self.lattices, strict=True)]
         )
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Return joint configurations; a robot without heading keeps the heading given in its start."""
+        """Return the configurations at nodes of all robots; a robot without a heading keeps that of its start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
-        """Return the children and the costs of joint primitives."""
+        """Return the nodes, ``(n, robots)``, that the robots' motion primitives lead to, and the sums of costs."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
@@ -230,7 +231,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return rows in which two robots are near, and for these rows, which of their primitives collide."""
+        """Return rows in which robots ``i`` and ``j`` are near, and which of their motion primitives collide."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -241,7 +242,7 @@ class JointLattice:
 
 
 class CellGrid(NamedTuple):
-    """A grid of equal cells over a robot's configuration space, with representatives and motions between cells."""
+    """A grid of cells over a robot's configuration space: a free configuration per cell, and motions between them."""
 
     lo: Float[np.ndarray, "dof"]
     shape: tuple[int, ...]
@@ -257,7 +258,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the kind of these robots, with their starts and goals as nodes."""
+        """Return the table of motions of robots of this kind, with their starts and goals as additional nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
@@ -309,7 +310,7 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at some offsets, and whether each is another cell with a representative."""
+        """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
@@ -323,7 +324,7 @@ class CellGrid(NamedTuple):
         end: Float[np.ndarray, "n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions; ``inf`` for motions that are not possible or not free."""
+        """Return the costs of straight motions; ``inf`` for those that are not ``possible`` or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -331,7 +332,7 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
-        """Test the motions that begin in some cells, in place; raise ``TimeoutError`` past the deadline."""
+        """Test the motions from cells to their neighbors, and store their costs; ``TimeoutError`` if time is up."""
         child, leads = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -341,13 +342,13 @@ class CellGrid(NamedTuple):
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
-    """Estimate the number of configurations of a robot's lattice if all are free; ``inf`` on overflow."""
+    """Estimate the number of cells of a robot's lattice, of size ``step``, if all are free; ``inf`` on overflow."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices with cells at most ``step`` wide; a turn by a cell moves corners at most as far."""
+    """Build all robots' lattices with cells at most ``step`` wide; a turn by a cell moves no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
@@ -359,7 +360,7 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the cell grid of a kind of robot, without starts and goals; small grids are cached."""
+    """Return the grid of cells, with motions between them, of one kind of robot; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     return (_cached_cell_grid if is_small else _build_cell_grid)(
         workspace, robot, weight, step, IgnoredByCache(deadline)

@@ -1,4 +1,4 @@
-"""A table of reservations: the edges that a team's motions block at each step, and replanning around them.
+"""A table of reservations: lattice motions (edges) that a team's paths block at each step, and replanning around it.
 
 References: Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large
 neighborhood search", 2021.
@@ -26,7 +26,7 @@ Edges: TypeAlias = Int[np.ndarray, "_"]
 
 
 class ReservationTable:
-    """The path of each robot on its lattice, and the number of robots that block each edge at each step."""
+    """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step."""
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
@@ -63,7 +63,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Block the edges that collide with a robot's path; a ``change`` of -1 releases them."""
+        """Count a robot's path as blocking all lattice motions that collide with it; ``change=-1`` undoes this."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -72,7 +72,7 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # no index occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each given edge of kind ``a``, the edges of kind ``b`` whose motions collide with it."""
+        """Return, for each lattice motion (edge) of kind ``a``, the edges of kind ``b`` that collide with it."""
         known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
@@ -99,7 +99,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Give a released robot its cheapest path if that costs at most ``max_cost``; return whether it does."""
+        """Give a robot that blocks nothing its cheapest path up to ``max_cost``; return whether there is one."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
@@ -133,14 +133,14 @@ class ReservationTable:
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    """Estimate the memory of a table of reservations, without the cached collisions."""
+    """Estimate the memory, in bytes, of a reservation table of ``num_rows`` rows, without cached collisions."""
     num_edges = sum(kind.num_edges for kind in joint.kinds)
     num_nodes = max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan the robots one by one, those with the largest excess cost first, until a round saves little."""
+    """Replan robots one by one, the largest cost above the least cost first, in rounds until one saves little."""
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():
@@ -155,7 +155,7 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
-    """Replan robots one after the other unless the cost would rise; return whether it falls."""
+    """Replan robots one after the other, or keep their paths if the cost would rise; return whether it falls."""
     robots = list(robots)
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
@@ -179,7 +179,7 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
-    """Replan ``count`` neighborhoods: a random robot with excess cost, and the robots that come nearest to it."""
+    """Replan ``count`` groups: a random robot that costs more than if alone, and four robots that come near it."""
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)
         if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():

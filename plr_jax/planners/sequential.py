@@ -34,7 +34,7 @@ TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
-    """A disc's roadmap: positions where it touches both walls of a corner, joined by free straight motions."""
+    """A disc's roadmap: positions where it touches both walls of a corner, and free straight motions between them."""
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
@@ -57,7 +57,7 @@ class CornerRoadmap:
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
     def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, "n"]:
-        """Return whether the disc hits no wall on straight motions between free positions; touching is allowed."""
+        """Return whether straight motions between free positions hit no wall; touching is allowed."""
         (x, y), (dx, dy) = begin.T, (end - begin).T
         # A motion hits a circle if it passes its center and comes too near.
         tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
@@ -73,7 +73,7 @@ class CornerRoadmap:
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
-        """Return the routes of equal robots from their starts to their goals."""
+        """Return the :class:`Routes` of discs of this radius from their starts to their goals."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
@@ -84,7 +84,7 @@ class CornerRoadmap:
         return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
     def between(self, u: int, v: int) -> Route:
-        """Return the shortest route from corner ``u`` to corner ``v``."""
+        """Return the shortest route, as positions of the disc's center, from corner ``u`` to corner ``v``."""
         route = [v]
         while route[-1] != u:
             route.append(int(self._previous[u, route[-1]]))
@@ -92,7 +92,7 @@ class CornerRoadmap:
 
     @cached_property
     def places(self) -> list[complex]:
-        """Corner positions as complex numbers."""
+        """Positions of the disc at the corners, as complex numbers."""
         return (self.q @ _COMPLEX).tolist()
 
 
@@ -113,7 +113,7 @@ def _positions_at(
 
 
 class Routes(NamedTuple):
-    """A robot's routes from its start to its goal through the corners of a roadmap; costs are ``inf`` if not free."""
+    """A disc's start, goal, and costs of motions by way of the roadmap's corners; costs are ``inf`` if not free."""
 
     roadmap: CornerRoadmap
     start: complex
@@ -124,21 +124,21 @@ class Routes(NamedTuple):
     to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
     def shortest(self) -> Route | None:
-        """Return the shortest route from start to goal, or None."""
+        """Return the shortest route from start to goal, as positions of the disc's center; None if there is none."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
         return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
     def route_home(self, corner: int) -> Route:
-        """Return the shortest route from a corner to the goal."""
+        """Return the shortest route from a corner, given by index, to the goal, as positions of the disc's center."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
 def sequential_path(problem: Problem) -> Path | None:
-    """Return a path on which one robot after the other moves from corner to corner, or None.
+    """Return a path on which one robot after the other moves from corner to corner, or None if none is found.
 
-    Only teams of up to 8 discs, larger than the tolerance and without headings, among up to 48 walls have such paths.
+    None is returned unless there are at most 8 discs, without headings and wider than the tolerance, and 48 walls.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
@@ -160,7 +160,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Return whether a robot can go to its goal and will block no waiting robot there."""
+        """Return whether robot ``i`` can go to its goal and there blocks no waiting robot but ``ignored`` ones."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
@@ -216,13 +216,13 @@ def _comes_within(route: Route, place: complex, reach: float) -> bool:
 
 
 def _touch_distances(problem: Problem) -> TouchDistances:
-    """Return the center distances below which two robots collide, less half the tolerance for rounding."""
+    """Return distances between the centers of any two robots below which they collide, less half the tolerance."""
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 
 
 def with_early_departures(problem: Problem, path: Path) -> Retimed:
-    """Return a sequential path in which robots depart as early as possible; routes and cost stay the same."""
+    """Return the path with robots departing before others have arrived, if possible; routes and cost stay equal."""
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
     reach = np.array(_touch_distances(problem))[first_of, second_of]

@@ -41,7 +41,7 @@ _PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.fl
 
 
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
-    """Replace motions by shortcuts until a round gains little, or the deadline of the test passes."""
+    """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     may_gain = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # [i, j]: robot j blocked a shortcut of i
@@ -69,7 +69,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Return the rows on a robot's cheapest route of shortcuts, and the robots that blocked shortcuts."""
+    """Return the rows of the path that robot ``i``'s cheapest shortcuts keep, and which robots blocked shortcuts."""
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -107,7 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions of each robot, and of touching pairs, by the cheapest ones in corridors of falling width."""
+    """Replace motions of one robot, or of two that touch, by the cheapest ones within ``width`` of them."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
@@ -129,7 +129,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """Yield robots and rows to shorten together: each robot, and each two robots in the rows where they touch."""
+    """Yield robots and rows of the path to shorten: each robot, and each two robots in the rows where they touch."""
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -142,7 +142,7 @@ def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tup
 
 
 def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
-    """Return in which rows robot ``i`` touches each of the robots before it."""
+    """Return in which rows robot ``i`` nearly touches each robot of lower index."""
     size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
     offset = path[:, :i, :2] - path[:, i, None, :2]
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
@@ -157,7 +157,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the robots' cheapest motions within their corridors in some rows, with both ends fixed."""
+    """Return each robot's cheapest motions through its corridor in the given rows, with both ends fixed."""
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -193,7 +193,7 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[CostsOfRobot], test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Return the costs of motions of two robots, by their places before and after; ``inf`` where they collide."""
+    """Return costs of joint motions of two robots between configurations in their corridors; ``inf`` if blocked."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
@@ -212,7 +212,7 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations around each row, the row itself first; only the row itself at both ends."""
+    """Return the configurations that robot ``i`` may take in each row: the path's own first, then some around it."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes
@@ -225,7 +225,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion, the cost of the cheapest sequence from place 0 to place 0 that contains it."""
+    """Return, for each motion, the cost of the cheapest sequence of motions with it from place 0 to place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -235,7 +235,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return the places of the cheapest sequence of motions from place 0 to place 0."""
+    """Return, row by row, the places of the cheapest sequence of motions that begins and ends at place 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

@@ -33,10 +33,9 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """The configurations of a team row by row; the motions of one robot at a time can be replaced.
+    """The configurations of a team in rows of equal duration; the motion of one robot at a time can be replaced.
 
-    All robots rest after the last row. A robot at rest blocks others for ``patience`` more rows: then it is expected
-    to leave.
+    After its last row, a robot rests. It blocks others for ``patience`` more rows; then it is expected to leave.
     """
 
     def __init__(
@@ -56,7 +55,7 @@ class Timetable:
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Replace a robot's motion by one of any number of rows, and stop ignoring the robot."""
+        """Replace robot ``i``'s motion, which may have any number of rows, and remove the robot from ``ignored``."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
@@ -70,7 +69,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether straight motions of a robot, over ``count`` rows from ``row`` on, meet no other robot."""
+        """Return whether robot ``i``, on straight motions of ``count`` rows from ``row`` on, meets no other robot."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -80,14 +79,14 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the rows in which others meet a robot that makes a motion and then rests, and these robots."""
+        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and which."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """Return, for each row, the first row from it on where a robot may rest for ``rest`` rows, or ``inf``."""
+        """Return, for each row, the next one from which robot ``i`` may rest ``rest`` rows at ``q``, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
@@ -96,7 +95,7 @@ class Timetable:
         return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]  # last: later rows too
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        """Return the motions of one robot, each in its row, that meet other robots, and these robots."""
+        """Return which motions of robot ``i``, each lasting its given row, meet other robots, and the robots met."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
@@ -106,7 +105,7 @@ class Timetable:
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
-    """Subdivide the motions of a path so that none takes longer than ``length``."""
+    """Divide the motions of a path so that none takes longer than ``length``."""
     count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
@@ -115,16 +114,16 @@ def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.nda
 
 
 def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
-    """Return the number of rows of a length that motions of some costs take."""
+    """Return how many rows, each of duration ``length``, motions of given costs take at unit speed."""
     return np.ceil(cost / length - _ROUNDING)
 
 
 def plan_through_time(
     timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
 ) -> tuple[Motion | None, bool]:
-    """Plan the motion that brings a robot to its goal soonest among the others, by A* over nodes and rows.
+    """Plan a motion that brings robot ``i`` to its goal soon while the others keep theirs, by A* over nodes and rows.
 
-    A row takes ``step / ROWS_PER_STEP`` in units of cost. Where the motion ends, the robot must be free to rest for
+    A row lasts ``step / ROWS_PER_STEP``, in units of cost. Where the motion ends, the robot must be free to rest for
     ``rest`` rows, or forever if this is ``inf``. If the search finds no path within ``max_states`` states, the motion
     ends at the reached place nearest to the goal where the robot may rest.
 
@@ -198,7 +197,7 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Replace timed waypoints by straight motions as early as possible; no waypoint is reached later than before."""
+    """Replace waypoints ``q``, reached at rows ``row``, by straight motions where possible; none is reached later."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

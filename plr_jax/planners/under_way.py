@@ -46,16 +46,17 @@ def replan(
     options: BLOptions = _DEFAULT_OPTIONS,
     standing: Sequence[int] = (),
 ) -> Solution:
-    """Replan a moving team after a change; robots whose motions still lead to their goals keep them.
+    """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
 
     Use it when a few goals or walls have changed, or when robots have broken down::
 
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    A robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. It is
-    planned through time among the others. If it finds no path, it moves as if it were alone, and the robots that it
-    meets are replanned in turn. If too many robots need replanning, :func:`bl_plan` plans the whole team.
+    Robots keep their lines, not their clock: all must switch to the new path, whose times differ from the old ones. A
+    robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it
+    finds no path among the others, it moves as if it were alone, and the robots that it meets are replanned in turn.
+    If too many robots need replanning, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
@@ -68,8 +69,8 @@ def replan(
             and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 
     Returns:
-        The solution from now on, for robots at unit speed that do not move in step. Its status is EXHAUSTED if no
-        path was found beside standing robots, TIME_LIMIT if the limit was reached, or INTERRUPTED.
+        The solution from now on, at unit speed. Its status is EXHAUSTED if no path was found beside standing robots,
+        TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
 
     Raises:
         ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
@@ -124,7 +125,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots until all motions lead to their goals; return whether that succeeds."""
+    """Change the timetable until all robots but the ``fixed`` ones reach their goals; return whether they do."""
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
@@ -135,7 +136,7 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
-        """Queue the robots that meet a motion for replanning; until then they block nobody."""
+        """Queue the robots that a motion of robot ``i`` meets for replanning; until then they block nobody."""
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
         timetable.ignored.update(others)
         todo.extend(others)
@@ -165,9 +166,9 @@ class LifelongRun:
     """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: From the first starts to the last configurations: ``validate(run.problem, run.path)`` checks all
-            motions.
-        path: Joint configurations ``(rows, robots, dof)``, as in a solution.
+        problem: The problem whose starts and goals are the path's ends: ``validate(run.problem, run.path)`` checks
+            all motions.
+        path: Joint configurations ``(rows, robots, dof)``, as in a :class:`Solution`.
         times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
         robots: The robot that served each goal, in the order of service, ``(goals,)``.
         goals: The served goals, ``(goals, dof)``.
@@ -197,9 +198,9 @@ def lifelong(
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
-    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself, through time,
-    among the motions of the others. A robot at its goal blocks others only for some rows, since it then gets another
-    goal. A robot that finds no path goes as near to its goal as it may rest, and is replanned later, those with the
+    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
+    keep their motions. A robot at its goal blocks others only for a short time, since it then gets another goal. A
+    robot that finds no path goes to a place near its goal where it may rest, and is replanned later, robots with the
     oldest goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is
     also replanned. If all this fails, the whole team is planned again.
 
@@ -243,7 +244,7 @@ def lifelong(
 
 
 class _LifelongTeam:
-    """State of a lifelong run: the planned motions, the goals, and the record of what was done."""
+    """State of a lifelong run: the motions planned from now on, the goals, and a record of the motions made."""
 
     def __init__(self, problem: Problem, options: BLOptions, plan: Planner | None):
         self.problem, self.options, self.plan = problem, options, plan  # goals of the problem never overlap
@@ -259,7 +260,7 @@ class _LifelongTeam:
         self._num_from_nothing, self._num_idle = 0, 0
 
     def plan_from_nothing(self) -> Status:
-        """Plan the whole team; return SOLVED if it has a path."""
+        """Plan the whole team; return SOLVED if it has a path, else the reason."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
@@ -269,7 +270,7 @@ class _LifelongTeam:
         return Status.SOLVED
 
     def advance(self) -> list[int]:
-        """Move the robots until some arrive or waiting ones are due for replanning; return those that arrive."""
+        """Move the team until robots arrive or others are due for replanning; return which robots arrive."""
         is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there.any(axis=1))
         row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
@@ -289,7 +290,7 @@ class _LifelongTeam:
         self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
 
     def replan(self) -> Status:
-        """Replan robots that have new goals or wait; return SOLVED if all can go on."""
+        """Replan the whole team if ``plan`` is given, else robots that need it; return SOLVED if all can go on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
@@ -312,12 +313,11 @@ class _LifelongTeam:
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
     def _current_problem(self, goals: Goals) -> Problem:
-        """Return the problem from the current configurations; raise ``ValueError`` for an invalid goal."""
         problem = self.problem
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return the requested goals; robots whose goals overlap others keep their previous ones."""
+        """Return the requested goals, but the previous goal of a robot whose requested goal overlaps another's."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
         goals, before = self.requested_goals.copy(), self.problem.goals
@@ -334,7 +334,7 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Plan robots among the others if they have new goals, or soon rest short of their goals."""
+        """Replan robots that soon rest short of their goals, robots in their way, and the one that is latest."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)

@@ -60,7 +60,7 @@ _CONTROLS_OF_TIME = f"""<div class="controls">
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """Return a web page that plays a path, as HTML."""
+    """Return the HTML of a web page that plays a path in ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
     script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
@@ -68,7 +68,7 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the path for ``player.js``, with coordinates rounded to at most a twentieth of a pixel."""
+    """Return the data of a path that ``player.js`` reads; coordinates are rounded by at most 1/20 of a pixel."""
 
     def short(value: float, digits: int) -> float | int:
         rounded = round(float(value), digits)
@@ -94,7 +94,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return the picture at time 0; the script moves robots and trails, which it finds by their ids."""
+    """Return an SVG picture of the path at time 0; a script then moves its robots and trails."""
     bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
@@ -236,7 +236,6 @@ def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape
 
 
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Yield the pixels of each frame; static parts are drawn once."""
     problem, motion = animation.problem, animation.motion
     # Draw the static background: the workspace, whole tracks as thin lines, goals as outlines.
     ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
@@ -261,7 +260,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 
 
 class _Actor:
-    """The moving parts of a robot in a figure: body, heading bar, number and trail."""
+    """The parts of a robot's picture that move: body, heading bar, number and trail."""
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]

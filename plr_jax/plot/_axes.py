@@ -30,7 +30,7 @@ _POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function that gives the leaf of each box, and values of given leaves at points."""
+    """A piecewise function with the leaf number of each box, and the values of given leaves at points."""
 
     @property
     def leaf_of_box(self) -> Any: ...
@@ -47,7 +47,7 @@ def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
 
 
 def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 4 2"]:
-    """Return the corners of boxes in the plane, counterclockwise."""
+    """Return the four corners of each box in the plane, counterclockwise."""
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
     y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
     return np.stack([x, y], axis=-1)
@@ -59,7 +59,7 @@ def save(ax: Axes, path: str | os.PathLike[str]) -> None:
 
 
 def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
-    """Set up given or new axes for a slice of a box: limits, ticks, labels and colors."""
+    """Set limits, ticks, labels and colors of given or new axes that show a slice of a box; return the axes."""
     box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
     same_unit = kinds[0] == kinds[1]
     ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
@@ -81,7 +81,7 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
 
 
 def is_angle(domain: Box, axis: int) -> bool:
-    """Return whether an axis of a box is an angle in radians: periodic with a full turn."""
+    """Return whether an axis of a box is an angle in radians: periodic with a period of a full turn."""
     return domain.periodic[axis] and math.isclose(domain.width[axis], _FULL_TURN)
 
 
@@ -101,7 +101,7 @@ def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
 
 
 def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
-    """Return axes in a new figure; ``before`` and ``after`` are margins (left, bottom) and (right, top) in inches."""
+    """Return axes in a new figure, with margins (left, bottom) ``before`` and (right, top) ``after``, in inches."""
     size = _PANEL * box.width / box.width.max()
     total = size + np.add(before, after)
     figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")

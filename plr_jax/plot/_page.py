@@ -37,12 +37,12 @@ PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><p
 
 
 def asset(name: str) -> str:
-    """Return the text of a file in this folder, a building block of pages."""
+    """Return the text of a file in this folder, such as a script or style of pages."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
-    """Assemble a page; the style of ``page.css`` comes first."""
+    """Assemble a web page; ``style`` and ``script`` are added to the style that all pages share."""
     filled = {
         "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
@@ -56,7 +56,7 @@ def html_document(title: str, style: str, body: str, script: str) -> str:
 
 
 def packed_script(script: str) -> str:
-    """Return a script that unpacks and runs a compressed one, stripped of comments and indentation."""
+    """Return a script that decompresses and runs the given script."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)
@@ -72,7 +72,7 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
-    """Embed a page in an iframe, so that many pages fit into one document without interfering."""
+    """Embed a page in an HTML iframe, so that many pages in one document do not interfere."""
     looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
     return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
 
@@ -82,19 +82,19 @@ def pixel_scale(bounds: Box) -> float:
 
 
 def view_parameters(bounds: Box) -> dict[str, float]:
-    """Return the parameters with which scripts convert points to pixels."""
+    """Return the parameters with which scripts convert points to pixels: the scale, and the upper left corner."""
     return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
 
 
 def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
-    """Return points as text in pixels, ``y`` downward."""
+    """Return points as text for SVG, in pixels from the upper left corner of the bounds."""
     scale = pixel_scale(bounds)
     x, y = scale * (points[:, 0] - bounds.lo[0]), scale * (bounds.hi[1] - points[:, 1])
     return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
 
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
-    """Return the obstacles as SVG path data in pixels, to be filled by the even-odd rule."""
+    """Return the obstacles as the path data of SVG, in pixels, to be filled by the even-odd rule."""
     rings = []
     for polygon in blocked_polygons(workspace):
         for ring in (polygon.exterior, *polygon.interiors):
@@ -109,7 +109,7 @@ def view_box(bounds: Box) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A web page, ``html``, that shows a distance function, made by :func:`page`; notebooks show it."""
+    """A web page that shows a distance function, made by :func:`page`; notebooks show it. ``html`` is its text."""
 
     html: str
 
@@ -131,10 +131,10 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     """Return a self-contained web page of a distance function, which needs no server or network.
 
     It shows the distance as colors and contours, the walls, and optionally the cells. At the pointer it shows the
-    distance, its proven bounds and a path: for cones along the stored sources, for other leaves down the gradient
-    without entering the given walls. A click starts a swarm that flows to the goal. For pairs, both ends can be
-    dragged. Other files of cones or pairs can be dropped on the page. Its answers equal those of ``plr.numpy()`` and
-    ``pairs.numpy()``, bit for bit.
+    distance, its proven bounds and a path: for cones along the corners that their leaves store, for other leaves down
+    the gradient without entering the given walls. A click starts a swarm that flows to the goal. For pairs (distances
+    between any two points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its
+    answers equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
 
     Args:
         plr_or_pairs: A PLR or PairPLR in the plane; others raise ``ValueError``.
@@ -172,7 +172,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
 
 def _module(data: bytes) -> str:
-    """Return a JavaScript object that reads the file and its facts."""
+    """Return JavaScript source of an object: a reader of the PLR (``read``), and its size, kind and proven error."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

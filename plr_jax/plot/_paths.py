@@ -24,7 +24,7 @@ from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Joint ``configurations`` at ``times`` from 0 to the makespan, never decreasing, with unwrapped headings."""
+    """Joint ``configurations`` at nondecreasing ``times`` from 0 to the makespan, with headings that never wrap."""
 
     times: Float[np.ndarray, "steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
@@ -34,7 +34,7 @@ class Timeline:
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
-        """Interpolate joint configurations at times, clipped to those of the path."""
+        """Return joint configurations, interpolated at times; these are clipped to those of the path."""
         row, after, share = motions_under_way(self.times, times)
         share = share[:, None, None]
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
@@ -46,7 +46,7 @@ class Timeline:
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """Return the path over time, without steps in which nothing moves; ``ValueError`` if it is not finite."""
+    """Return a path and its times, without steps in which nothing moves; ``ValueError`` if it is not finite."""
     path = as_path(problem, path)
     broken = np.argwhere(~np.isfinite(path))
     if broken.size:
@@ -76,12 +76,12 @@ BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
 def color_of(i: int) -> str:
-    """Return the color of a robot; from the ninth robot on, colors repeat."""
+    """Return the color of robot ``i``; robots from number 8 on repeat the colors."""
     return ROBOT_COLORS[i % len(ROBOT_COLORS)]
 
 
 def ink_on(color: str) -> str:
-    """Return the color of text that is legible on a color."""
+    """Return the color, dark or white, of text that is legible on a color."""
     return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
 
 
@@ -96,12 +96,12 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
-    """Return the radius by which the core is drawn rounded; a point gets a small dot."""
+    """Return the radius by which the drawn core is rounded; a point robot is drawn as a small disc."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
-    """Return a bar near the front of a body, in its own frame, which shows the heading."""
+    """Return the ends of a bar near the front of a robot's body, in its own frame, that shows the heading."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     (_, y0), (_, y1) = shapely.get_coordinates(
@@ -114,7 +114,7 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
-    """Return the sides of a body that face forward, in its own frame."""
+    """Return the points of the outline that faces forward, in the robot's own frame."""
     corners = body_outline(robot, bounds)
     sides = np.roll(corners, -1, axis=0) - corners
     facing = sides[:, 1] / np.hypot(*sides.T)
@@ -129,7 +129,7 @@ def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.
 
 
 def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
-    """Draw a robot as a solid body, with a bar that shows its heading if it has one."""
+    """Draw a robot as a solid body, with a bar if it has a heading; return both."""
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
@@ -142,7 +142,7 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
 
 
 def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
-    """Draw a robot's goal as a dashed outline on a white line, which sets it off from bodies."""
+    """Draw a robot's goal as a dashed outline, on a white line that sets it off from bodies."""
     robot, bounds = problem.robots[i], problem.workspace.bounds
     corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
@@ -162,7 +162,7 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
 def add_numbers(
     ax: Axes, problem: Problem, bodies: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "_ dof"]
 ) -> None:
-    """Number bodies and goals: inside if there is room, else beside them."""
+    """Number the robots' bodies and goals: inside if there is room, else beside them."""
     bounds, num_robots = problem.workspace.bounds, len(bodies)
     robots, ends = [*problem.robots, *problem.robots[: len(goals)]], [*bodies, *goals]
     shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
@@ -188,7 +188,7 @@ def add_numbers(
 
 
 def number_size(ax: Axes, i: int) -> float:
-    """Return the width and height of a robot's number, in workspace units."""
+    """Return the approximate width and height of a robot's number, in workspace units."""
     ax.apply_aspect()
     points = FONT_SIZE * (1 if i < 10 else 1.5)
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
@@ -198,7 +198,7 @@ def number_size(ax: Axes, i: int) -> float:
 def _least_covered(
     spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the first position at which a number overlaps the occupied shapes least."""
+    """Return the place at which a number of a given size covers least of the shapes already drawn."""
     covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
     return spots[int(np.argmin(covered))]
 

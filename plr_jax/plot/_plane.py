@@ -50,11 +50,11 @@ def plot_surface(
     label: str = DISTANCE,
     unit: str = WORKSPACE_UNITS,
 ) -> Axes3D:
-    """Draw a 2-D PLR as a surface with one piece per leaf, as in Fig. 1 of the paper.
+    """Draw a 2-D PLR as a surface of separate polygons, one per leaf, as in Fig. 1 of the paper.
 
     Leaves without a finite value are left out. With a workspace, cells are clipped to its free space, outside which
-    the pieces are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR
-    is not 2-D, or no leaf has a finite value.
+    values are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is
+    not 2-D, or no leaf has a finite value.
     """
     require_2d(plr)
     pieces = _pieces(plr, workspace)
@@ -80,7 +80,7 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return the leaves' values at the corners of each cell, or of its free part, as polygons in space."""
+    """Return polygons in space: corners of each cell, or of its free parts, with the leaf's values as heights."""
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
     if not pieces:
@@ -195,7 +195,7 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values as colors from 0 to the largest with about ``num_levels`` contours, and closed points in gray."""
+    """Draw values as colors from 0 to ``largest``, about ``num_levels`` contours, and points ``closed`` in gray."""
     image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1
@@ -281,7 +281,7 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise ``ValueError`` if a workspace or space does not match the drawn axes."""
+    """Raise ``ValueError`` if a workspace or space does not fit the drawn axes, or both are given."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(
             f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave the workspace out."
@@ -295,7 +295,7 @@ def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest 
 def free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return which points are free: all, without a workspace or space."""
+    """Return which points are free in the workspace or space; all if both are None."""
     flat = points.reshape(-1, shown.domain.dim)
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
@@ -305,7 +305,7 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goal: Float[np.ndarray, "2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to the goal and others; all count if no part has the goal."""
+    """Split free space into parts connected to the goal, and other parts; without a goal in it, all are connected."""
     parts = shapely.get_parts(workspace.free_space)
     reached, num = shapely.distance(parts, shapely.Point(goal)) <= workspace.tolerance, 0
     while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch

@@ -44,7 +44,7 @@ class Robot:
 
     @cached_property
     def inscribed_radius(self) -> float:
-        """Radius of the largest disc around the reference point in the body; negative if the point is outside."""
+        """Radius of the largest disc around the reference point within the body; negative if the point is outside."""
         core = self.core
         if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
             return self.rounding + float(depth)
@@ -63,7 +63,7 @@ class Robot:
 
     @cached_property
     def half_sides(self) -> Float[np.ndarray, "2"] | None:
-        """Half length and half width if the core is a box around the reference point (0 for a point), else None."""
+        """Half length and half width if the core is a box centered on the reference point, or a point; else None."""
         half = np.abs(self.core[0])
         is_box = len(self.core) == 2 ** np.count_nonzero(half) and (np.abs(self.core) == half).all()
         return half if is_box else None
@@ -89,18 +89,18 @@ def check_body(name: str, robot: Robot) -> None:
 
 
 def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
-    """Return the signed distances of points to each side of a polygon, positive to the left."""
+    """Return the signed distance of each point to the line of each side of a polygon, positive to the left."""
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
 
 
 def team_dof(robots: Sequence[Robot]) -> int:
-    """Return the length of a robot's configuration in a team: 3 if any robot has a heading, else 2."""
+    """Return how many coordinates each robot's configuration has in a team: 3 if any robot has a heading, else 2."""
     return max((robot.dof for robot in robots), default=2)
 
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the signed shorter turns between headings, counterclockwise positive.
+    """Return the signed turns, the shorter way, from headings ``theta0`` to ``theta1``; counterclockwise is positive.
 
     All code takes the direction of a turn from this function. Half a turn is counterclockwise. So is a clockwise turn
     that falls short of half a turn by at most 1e-10 of a full turn: rounded or wrapped headings thus keep their
@@ -119,17 +119,17 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return configurations at shares ``t`` of straight motions; at 1, the end up to rounding and whole turns."""
+    """Return configurations at shares ``t`` of straight motions, turning the shorter way, from ``q0`` to ``q1``."""
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return the rows before and after some moments on a path, and the share of the motion that is done.
+    """Return, for some times, the rows of a path before and after them, and the share of the motion that is done.
 
-    Moments are clipped to the nondecreasing ``times`` of the rows. The share is exactly 0 at a row (of equal times,
-    the last), and exactly 1 at the end.
+    Times ``when`` are clipped to the nondecreasing ``times`` of the rows. The share is exactly 0 at a row (of equal
+    times, the last), and exactly 1 at the end.
     """
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -140,7 +140,7 @@ def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
-    """Return where a configuration, possibly with a heading that the robot ignores, places points of its frame."""
+    """Return the positions of points of the robot's frame when the robot is at a configuration."""
     if robot.dof == 2:
         return q[:2] + points
     cos, sin = np.cos(q[2]), np.sin(q[2])

@@ -1,4 +1,4 @@
-"""Published scenes, the scene file format, readers of public map formats, and perturbed problems.
+"""Scenes of our experiments, the scene file format, readers of public map formats, and perturbed problems.
 
 All readers raise ``OSError`` if a file cannot be read.
 """

@@ -26,7 +26,7 @@ _KEYS = ("workspace", "robots", "starts", "goals")
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
-    """Write a problem as a scene file, usually ``.json``; the file is complete or absent.
+    """Write a problem as a scene file, usually ``.json``; an interrupted write leaves no partial file.
 
     A robot of a shape that the format does not support raises ``ValueError``, a file that cannot be written
     ``OSError``.
@@ -84,7 +84,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
 
 def is_scene(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file, ``path``, is JSON that declares itself a scene, of any version."""
+    """Return whether the file ``path`` is JSON that declares itself a scene of this format, of any version."""
     try:
         scene = json_of(Path(path))
     except ValueError:

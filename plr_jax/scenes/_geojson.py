@@ -175,7 +175,7 @@ def is_geojson(document: Any) -> bool:
 
 
 def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.MultiPolygon]:
-    """Yield the polygons of an object; ``where`` names its place in the file for errors."""
+    """Yield the polygons in a GeoJSON object; ``where`` names the object's place in the file for error messages."""
     if entry is None:
         return
     kind, place = entry.get("type") if isinstance(entry, dict) else None, where or "the file"
@@ -221,7 +221,6 @@ def _polygon(rings: Any, where: str) -> Iterator[Any]:
 
 
 def _is_position(value: Any) -> bool:
-    """Return whether a value is a list that begins with two finite numbers; strings and booleans are not."""
     return (
         isinstance(value, list)
         and len(value) >= 2

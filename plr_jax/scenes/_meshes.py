@@ -32,7 +32,7 @@ Triangles: TypeAlias = Float[np.ndarray, "n 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read the triangles of a mesh; ``ValueError`` if the file is not a mesh, is damaged or too large."""
+    """Read a mesh as triangles ``(n, 3, 3)``; ``ValueError`` if the file is not a mesh, is damaged or too large."""
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:
@@ -49,7 +49,7 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def triangulated(polygons: Polygons) -> Triangles:
-    """Cut plane polygons with equally many corners into triangles, without new corners.
+    """Cut plane polygons in space, all with the same number of corners, into triangles, without new corners.
 
     Polygons may be concave. An outline may touch itself, as where a cut joins a hole to the outer ring. If an outline
     crosses itself, the regions that it encloses are cut; if it encloses none, its triangles have no area.
@@ -177,7 +177,7 @@ def _read_ply(data: bytes) -> list[Polygons]:
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
-    """Group polygons with at least three corners by their number of corners."""
+    """Stack polygons of at least three corners into one array for each number of corners."""
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)

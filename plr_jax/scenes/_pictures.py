@@ -77,7 +77,7 @@ def read_image(
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels of a picture or of a ``map_server`` map are free; row 0 is at the top."""
+    """Return which pixels of a picture, or of a map of ROS's ``map_server``, are free; row 0 is at the top."""
     if path.suffix.lower() in YAML_ENDINGS:
         return _MapServer.read(path).free(unknown_is_free=False)
     with open_picture(path) as picture:
@@ -90,7 +90,7 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 @contextmanager
 def open_picture(path: Path, *, floats: bool = False) -> Iterator["Image"]:
-    """Yield a decoded, upright picture; ``floats`` allows float pixels. ``ValueError`` if invalid or too large."""
+    """Yield a picture, upright; ``floats`` allows pixels of 32-bit floats. ``ValueError`` if invalid or too large."""
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
@@ -132,7 +132,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 
 
 def _require_plain(picture: Any) -> None:
-    """Reject pixels whose lightness or transparency Pillow does not decode reliably."""
+    """Raise ``ValueError`` for pixels whose lightness or opacity Pillow does not decode reliably."""
     raw = str(picture.tile[0][3]) if picture.tile else ""
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
@@ -154,7 +154,7 @@ def _require_plain(picture: Any) -> None:
 
 
 class Band(NamedTuple):
-    """A band of rows, with lightness from 0 to ``full`` and opacity from 0 to 255, None if all pixels are opaque."""
+    """Rows of a picture: their lightness from 0 to ``full``, and opacity from 0 to 255, None if all are opaque."""
 
     rows: slice
     light: Int[np.ndarray, "rows columns"]
@@ -341,7 +341,7 @@ class _MapServer:
 
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
-        """Read the file; ``ValueError`` if it is invalid, ``FileNotFoundError`` if its picture is missing."""
+        """Read a ``.yaml`` map; ``ValueError`` if it is invalid, ``FileNotFoundError`` if its picture is missing."""
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -362,7 +362,7 @@ class _MapServer:
     def cells(
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
     ) -> Shaped[np.ndarray, "rows columns"]:
-        """Apply a function to the occupancy of all pixels, NaN where unknown; row 0 is at the top."""
+        """Apply ``value_of`` to the occupancy of all pixels, which is NaN where unknown; row 0 is at the top."""
         with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
@@ -382,7 +382,7 @@ class _MapServer:
         return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy to values of ROS's ``OccupancyGrid``: 0 to 100, or -1 for unknown."""
+        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
         between = np.full(occupancy.shape, _UNKNOWN, np.float64)
         if self.mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))

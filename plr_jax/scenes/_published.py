@@ -1,4 +1,4 @@
-"""The published scenes of the experiments, some of them files in the folder ``published``, and perturbed variants."""
+"""Ready-made scenes of the paper and our experiments, built here or read from ``published``; and variants of them."""
 
 import math
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ _ATTEMPTS = 1000
 def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
-    Positions move by at most ``distance`` in workspace units; headings turn by at most as much as moves the robot's
-    farthest corner that far. ``ValueError`` is raised if an argument is out of range or no free variant is found.
+    Positions move by at most ``distance``, in workspace units. Headings turn by at most the angle that moves the
+    robot's farthest corner that far. ``ValueError``: an argument is out of range, or no free variant is found.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)
@@ -150,8 +150,8 @@ def single_door() -> Problem:
 def four_rooms(num_robots: int) -> Problem:
     """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    ``num_robots`` is 2, 3 or 4, with one robot in each of the first rooms, or 8, with two in each room. All go to the
-    opposite room. Another number raises ``ValueError``.
+    ``num_robots`` is 2, 3 or 4, with one robot to a room, or 8, with two in each room. All go to the opposite room.
+    Another number raises ``ValueError``.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
@@ -166,9 +166,9 @@ def cross(num_robots: int) -> Problem:
 
 
 def tangle() -> Problem:
-    """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay.
+    """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay on each side.
 
-    They can neither pass each other nor turn in the hallway. The bay is narrower than a rectangle is long, and too
+    They can neither pass each other nor turn in the hallway. Each bay is narrower than a rectangle is long, and too
     shallow to park in.
     """
     return load(_FOLDER / "tangle.json")

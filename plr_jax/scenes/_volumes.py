@@ -135,7 +135,7 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
-    """Voxelize a mesh over the bounds, or over its bounding box; return which voxels are free."""
+    """Return which voxels of side ``pitch`` a mesh leaves free, over ``bounds`` or else its bounding box."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
@@ -167,7 +167,7 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Block all closed voxels that triangles, in units of voxels, meet."""
+    """Mark all voxels that triangles meet as blocked; coordinates are in units of voxels, and touching counts."""
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(
             f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that is farther away."
@@ -192,7 +192,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
-    """Yield batches of pieces and the grid layers that they reach, along an axis with ``size`` layers."""
+    """Yield batches of pairs: the index of a polygon, and a layer of the grid that it reaches along an axis."""
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
@@ -200,7 +200,7 @@ def _split_into_layers(
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return the first grid layer that each piece reaches, and the number of layers."""
+    """Return the first layer of the grid that each polygon reaches, and the number of layers that it reaches."""
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
@@ -208,7 +208,7 @@ def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.nd
 
 
 def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
-    """Clip each edge to a layer across the first axis, dropping that axis; NaN if nothing is left."""
+    """Clip each edge to a layer of the grid along the first axis, and drop that axis; NaN if nothing is left."""
     begin, end = edges[0]
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
     change[change == 0] = np.nan  # an edge parallel to the layer lies in it as a whole or not at all
@@ -220,7 +220,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return the outlines of clipped triangles: their clipped edges, and segments that join the edges' ends."""
+    """Return outlines of clipped triangles: their clipped edges, and segments that join the ends of these."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

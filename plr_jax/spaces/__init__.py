@@ -1,4 +1,4 @@
-"""Configuration spaces: what is free, of points and of whole boxes, and what a motion costs."""
+"""Configuration spaces: which configurations and boxes of configurations are free, and what a motion costs."""
 
 from plr_jax.spaces._arm import PlanarArm as PlanarArm
 from plr_jax.spaces._clearance import ClearanceSpace as ClearanceSpace

@@ -92,7 +92,7 @@ class PlanarArm:
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length in joint space."""
+        """Length of a motion in joint space, in radians."""
         return MotionCost(((tuple(range(self.dof)), 1.0),))
 
     def forward(self, q: ArrayLike) -> Ends:
@@ -104,8 +104,8 @@ class PlanarArm:
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether configurations ``(n, joints)`` are free; False for those that are not finite.
 
-        Links may not overlap obstacles, the outside of the bounds or, on request, links that are not their neighbors,
-        up to ``workspace.tolerance``.
+        Links may not overlap obstacles, the outside of the bounds or, with ``self_collision``, links that are not
+        their neighbors, up to ``workspace.tolerance``.
         """
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
@@ -133,7 +133,7 @@ class PlanarArm:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of joint angles, in radians; see :meth:`ConfigurationSpace.classify`."""
+        """Tell whether boxes of joint angles (radians) are FREE, BLOCKED or MIXED; see :class:`CellState`."""
         center, half = as_boxes(lo, hi, self.dof)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         for begin in range(0, len(center), _BOXES):
@@ -145,7 +145,7 @@ class PlanarArm:
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until every piece is proven free, or the middle of a piece is not free."""
+        """Bisect motions until each interval is proven free; False where the middle of an interval is not free."""
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
@@ -159,7 +159,7 @@ class PlanarArm:
         return free
 
     def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether all that the arm covers within each box of angles is certainly free."""
+        """Return whether the arm is certainly free at all angles of each box."""
         ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
@@ -177,7 +177,7 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
     def _is_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether, all over each box, a link certainly overlaps obstacles, the outside or another link."""
+        """Return whether the arm certainly hits obstacles, the outside or itself at all angles of each box."""
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
@@ -193,13 +193,13 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance of each link's end from each joint, 0 for joints that do not move it."""
+        """Largest distance of the base and of each link's end from each joint; 0 for joints that do not move it."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
     @cached_property
     def _link_pairs(self) -> list[tuple[int, int]]:
-        """Pairs of links that must not overlap: none, or all that are not neighbors."""
+        """Indices of links that must not overlap one another: none, or all that are not neighbors."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
@@ -207,6 +207,6 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound how far points of the later link of each pair move relative to the other, within boxes."""
+        """Bound, for each pair of links, how far the later one moves relative to the other within boxes of angles."""
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

@@ -94,14 +94,14 @@ class ClearanceSpace:
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether configurations are in the domain with a clearance of at least 0, which must be finite."""
+        """Return whether configurations ``(n, dof)`` are in the domain and have a clearance of at least 0."""
         q = as_points("q", q, self.domain.dim)
         free = self.domain.contains(q)
         free[free] = self._clearances(q[free]) >= 0
         return free
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether straight motions, around periodic axes the short way, are proven free all the way.
+        """Return whether straight motions are proven free all the way; periodic axes take the short way.
 
         A motion is not proven free if its clearance drops below about a thousandth of the change that the constants
         allow along the whole motion, for example if it slides along an obstacle. Clearances that contradict
@@ -116,7 +116,7 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of configurations; ``ValueError`` if clearances contradict ``lipschitz``."""
+        """Tell whether boxes are FREE, BLOCKED or MIXED; ``ValueError`` if clearances contradict ``lipschitz``."""
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
@@ -128,7 +128,6 @@ class ClearanceSpace:
         return state
 
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, "n"]:
-        """Classify boxes that meet the domain, by their part within it."""
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
         beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
@@ -145,7 +144,7 @@ class ClearanceSpace:
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until every interval is proven free or too short."""
+        """Bisect motions until each interval is proven free; False if one is blocked or too short to be proven."""
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
         free = (before >= 0) & (after >= 0)
@@ -173,7 +172,7 @@ class ClearanceSpace:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Evaluate clearances, clipped to the domain to undo rounding; ``ValueError`` if one is not finite."""
+        """Return clearances at configurations moved into the domain; ``ValueError`` if one is not finite."""
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
         for begin in range(0, len(q), _BATCH):
@@ -185,7 +184,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        """Bound the rounding errors of clearances from their size, the configurations' size and the precision."""
+        """Bound the rounding errors of clearances by their size, that of the configurations, and the precision."""
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -193,7 +192,7 @@ class ClearanceSpace:
         return precision_of(self.clearance(self.domain.lo[None]))
 
     def _require_consistent(self, q0: Configurations, a: Numbers, q1: Configurations, b: Numbers) -> None:
-        """Raise ``ValueError`` if clearances ``a`` at ``q0`` and ``b`` at ``q1`` contradict the constants."""
+        """Raise ``ValueError`` if clearances ``a`` at ``q0`` and ``b`` at ``q1`` contradict ``lipschitz``."""
         change, difference = np.abs(self.domain.difference(q1, q0)), np.abs(b - a)
         allowed = _LIPSCHITZ_SLACK * (change @ self.lipschitz)
         rounding = self._rounding(np.maximum(np.abs(a), np.abs(b)), np.maximum(np.abs(q0), np.abs(q1)))
@@ -209,7 +208,7 @@ class ClearanceSpace:
 
 
 def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """Say which constants would explain how far the clearances of two configurations differ."""
+    """Return a sentence that says which Lipschitz constants allow a given change and difference of clearances."""
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

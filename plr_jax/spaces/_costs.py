@@ -19,7 +19,7 @@ Rates: TypeAlias = Float[np.ndarray, "n"]
 
 
 def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise ``ValueError`` for the first row that is not fine, with its values and place."""
+    """Raise ``ValueError`` if ``fine`` is False anywhere, with the first such row of ``got`` and its place."""
     if not fine.all():
         i = int(fine.argmin())
         what = " and ".join(str(column[i].tolist()) for column in got)
@@ -41,11 +41,11 @@ class CostMap(Protocol):
     """
 
     def __call__(self, q: ArrayLike, /) -> Rates:
-        """Return the factor at configurations ``(n, dof)``."""
+        """Return the factor, ``(n,)``, at configurations ``(n, dof)``."""
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes, which may cross periodic axes."""
+        """Return positive lower and finite upper bounds of the factor over boxes; these may cross periodic axes."""
         ...
 
 
@@ -55,7 +55,7 @@ class DirectionalCost(CostMap, Protocol):
 
     A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. As a
     :class:`CostMap`, it returns the cost per unit of length in the most expensive direction; its lower bound holds in
-    the cheapest direction. It needs a space whose ``motion_cost`` is a length: one block of weight 1.
+    the cheapest direction. It needs a space whose ``motion_cost`` is the Euclidean length over all axes.
 
     Example:
         Length plus ``rate`` times the climb, on terrain whose height has a gradient of length at most ``steepest``
@@ -79,7 +79,7 @@ class DirectionalCost(CostMap, Protocol):
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
-        """Return vectors ``a`` and ``b`` and numbers ``least`` and ``most`` for each box.
+        """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
         ``|dq|``. The bounds of the cost map replace them where costs vary too much: where ``least`` is at most a
@@ -114,11 +114,11 @@ class LipschitzCost:
         object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at configurations ``(n, dof)``; ``ValueError`` if it is not finite or below ``least``."""
+        """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or more than rounding below ``least``."""
         return self._factors(np.asarray(q, np.float64))[0]
 
     def _factors(self, q: Vectors) -> tuple[Rates, float]:
-        """Return the factors and their relative rounding error."""
+        """Return the factors, and the relative rounding error of the function's answers."""
         answer = self.cost_fn(q)
         factor, rounding = as_values("cost_fn", answer, len(q)), _ROUNDING * precision_of(answer)
         expected = f"cost_fn must return finite numbers of at least {self.least:g}"
@@ -126,7 +126,7 @@ class LipschitzCost:
         return np.maximum(factor, self.least), rounding
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Return lower and upper bounds of the factor over boxes, from its value at their centers."""
+        """Return lower and upper bounds of the factor over boxes, from its values at their centers."""
         middle, rounding = self._factors((lo + hi) / 2)
         # Largest distance of a point of the box from its rounded center.
         radius = np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
@@ -135,10 +135,10 @@ class LipschitzCost:
 
 
 def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
-    """Return lower and upper bounds of the factor over boxes, and pulls, ``(2, n, dof)``, if there are any.
+    """Return lower and upper bounds of the cost factor over boxes, and *pulls*, ``(2, n, dof)``, or None.
 
-    A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of a
-    pull with ``dq``. An invalid answer of the cost map raises ``ValueError``.
+    A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
+    ``dq`` with one of the box's two pulls, if there are any. An invalid answer of the cost map raises ``ValueError``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
@@ -173,7 +173,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the factor at configurations, and the pulls as in :func:`cost_bounds`."""
+    """Return the cost factor at configurations, and two vectors (pulls) each, as :func:`cost_bounds` does."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -184,11 +184,11 @@ def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rate
 
 
 def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of motions as if the cost at ``q`` held along each whole motion."""
+    """Return the costs of motions ``change`` as if the cost at ``q`` held along each whole motion."""
     factors, pulls = point_costs(motion, cost_map, q)
     return factors * motion.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    """Return the cost that pulls add to motions; 0 without pulls."""
+    """Return the largest scalar product of each motion with one of its two pulls; 0 without pulls."""
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

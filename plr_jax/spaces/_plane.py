@@ -1,4 +1,4 @@
-"""The configuration space of a point or disc in the plane, and geometry that other spaces in the plane share."""
+"""The configuration space of a point or disc in the plane, and geometry that spaces in the plane share."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +23,7 @@ Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
-    """Return whether the clearance of each point is at most a radius, which may be negative."""
+    """Return whether each point's clearance (signed distance to obstacles and bounds) is at most its radius."""
     # Most points are free with a negative radius: these need no distance.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
     within[within] = workspace.clearance(x[within]) <= radius[within]
@@ -31,10 +31,10 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether each segment certainly crosses a wall while its ends move by ``reaches``, the second larger.
+    """Return whether each segment certainly crosses a wall even if its ends move by up to ``reaches``.
 
-    The ends stay on opposite sides of the wall's line, and both ends of the wall are farther from the segment than
-    any of its points can move.
+    Columns of ``reaches``: first end, second end; the second is at least the first. The test is sufficient: the ends
+    stay on opposite sides of the wall's line, and the wall's ends are farther from the segment than any point moves.
     """
     boundary = workspace.boundary
     link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
@@ -50,7 +50,7 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
-    """Return the distances of pairs of segments, 0 where they cross."""
+    """Return the distance of each segment of ``a`` from the one of ``b`` in the same row; 0 where they cross."""
     of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
     pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
     distances = [distance_to_segment(*(segment[:, 0] - end).T, *change.T) for segment, change, end in pairs]
@@ -59,7 +59,6 @@ def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
 
 
 def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Booleans:
-    """Return whether the ends of each other segment lie strictly on both sides of a segment's line."""
     return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
 
 
@@ -78,7 +77,7 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
-    """The base of spaces of one robot in a workspace: tests of configurations and motions."""
+    """The base class of configuration spaces of one robot in a workspace."""
 
     workspace: Workspace
     robot: Robot
@@ -132,11 +131,11 @@ class PlaneSpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length."""
+        """Length of a motion."""
         return MotionCost((((0, 1), 1.0),))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
+        """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
         close touch. A box that touches a point where obstacles touch is not FREE, since no path passes through that
@@ -156,10 +155,10 @@ class PlaneSpace(BodySpace):
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Return whether positions are proven to see every free position of a box: for points only, never for discs.
+        """Return whether a point at ``q`` is proven to see every free position of a box; False for discs.
 
-        The free part of the box must be one polygon without holes, with the position on the inner side of every edge.
-        The result is False at points where obstacles touch.
+        The free part of the box must be one polygon without holes, with ``q`` on the inner side of every edge. The
+        result is False if obstacles touch at ``q``.
         """
         (q, _), (center, half) = as_motions(q, lo, 2), as_boxes(lo, hi, 2)
         sees = np.zeros(len(q), dtype=bool)
@@ -180,7 +179,7 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
-        """Return whether shapes touch points where obstacles touch and the robot may not squeeze through."""
+        """Return whether shapes touch points where obstacles touch and the robot may not pass between them."""
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
             touch[self._contacts.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True

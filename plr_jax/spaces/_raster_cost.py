@@ -237,7 +237,7 @@ class RasterCost:
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor at configurations, ``(n,)``; NaN where a leading coordinate is not finite."""
+        """Return the factor, ``(n,)``, at configurations; NaN where it depends on a coordinate that is not finite."""
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -276,7 +276,7 @@ class RasterCost:
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
     def _patch_corner_factors(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
-        """Evaluate the factor at all corners of the pieces into which cell centers cut each box."""
+        """Return the factor at all corners of the parts into which cell centers cut each box."""
         lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
         which = np.array(list(product(range(count + 1), repeat=self.dim)))
         coords = lines[:, which, np.arange(self.dim)]
@@ -294,7 +294,6 @@ class RasterCost:
         return total
 
     def _cell_factors(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
-        """Look up factors by cell index, wrapped around periodic axes and clipped along others."""
         modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
         return self._filled_factors.take(np.ravel_multi_index(tuple(cell.T), self._filled_factors.shape, mode=modes))
 
@@ -305,7 +304,7 @@ class RasterCost:
         return points[:, : self.dim]
 
     def _cell_coordinates(self, q: Vectors) -> Vectors:
-        """Convert to units of cells, from the first cell's center or, for ``nearest``, its border."""
+        """Convert configurations to units of cells, from the first cell's center (``"nearest"``: from its border)."""
         coords = (q - self.domain.lo) / self.domain.width * self._sizes
         return coords if self.interpolation == "nearest" else coords - 0.5
 
@@ -313,7 +312,7 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Convert boxes to cell coordinates, enlarged by rounding errors and moved to the first period."""
+        """Convert boxes to units of cells, enlarge them by rounding errors, and move them to the first period."""
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
@@ -334,7 +333,7 @@ class RasterCost:
         return (self.domain.width / self._sizes)[::-1]
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
-        """Tile the array three times along periodic axes; return slices of the middle copy too."""
+        """Tile an array three times along periodic axes; also return the slices of the middle copy."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
@@ -342,7 +341,7 @@ class RasterCost:
 
     @cached_property
     def _filled_factors(self) -> Float[np.ndarray, "..."]:
-        """Factors indexed by coordinate; blocked cells copy their nearest unblocked cell."""
+        """Factors indexed in the order of coordinates; blocked cells copy the nearest unblocked cell."""
         factors = self.values
         if not self.free.all():
             around, middle = self._three_periods(~self.free)
@@ -373,7 +372,7 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """Smallest and largest entries of an array's windows, to look up the extremes of any block (a sparse table).
+    """A sparse table: extremes of an array's windows, to look up the smallest and largest entry of any block.
 
     For every position and every power of two, it stores the extremes of the window of that side that begins there, as
     float32 rounded outward. A block about as wide along every axis is covered by two windows per axis; an elongated
@@ -384,7 +383,7 @@ class SparseTable:
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the extremes of blocks, given their first and last indices, rounded outward to float32."""
+        """Return the smallest and largest entries of blocks, given by first and last indices, rounded outward."""
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
@@ -397,7 +396,7 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return the extremes of blocks, each covered by ``counts`` windows of one level per axis."""
+        """Return the smallest and largest entries of blocks covered by ``counts`` windows of one level per axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
@@ -411,7 +410,7 @@ class SparseTable:
 
     @cached_property
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
-        """Window sides of each level, with the smallest and largest entries of the windows."""
+        """For each level: the sides of its windows, and their smallest and largest entries."""
         shape = np.array(self.values.shape)
         side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0
@@ -424,7 +423,7 @@ class SparseTable:
 
 
 def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
-    """Lengthen windows by ``step`` along each axis: combine each with the window that begins a step later."""
+    """Lengthen windows by ``step`` along each axis: merge each with the window that begins ``step`` later."""
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)
@@ -432,7 +431,7 @@ def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "ra
 
 
 def _as_float32(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
-    """Round to float32 in one direction: up if ``toward`` is inf, down if it is -inf."""
+    """Round to float32 upward if ``toward`` is ``inf``, downward if it is ``-inf``."""
     single = values.astype(np.float32)
     wrong = single < values if toward > 0 else single > values
     return np.where(wrong, np.nextafter(single, np.float32(toward)), single)

@@ -56,12 +56,12 @@ class RigidBodySpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length, plus turn times the rotation weight."""
+        """Length of a motion, plus its turn in radians times the rotation weight."""
         weight = self.robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of positions and headings, in radians; see :meth:`ConfigurationSpace.classify`."""
+        """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         has_room = motion_test(self.workspace, self.robot).has_room(
@@ -78,7 +78,7 @@ class RigidBodySpace(BodySpace):
         return state
 
     def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether all that the body covers within each box is certainly free."""
+        """Return whether the body is certainly free at all configurations of each box."""
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
@@ -97,7 +97,7 @@ class RigidBodySpace(BodySpace):
         return free
 
     def _is_blocked(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether, all over each box, the body certainly overlaps obstacles or the outside of the bounds."""
+        """Return whether the body certainly hits obstacles or the outside at all configurations of each box."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
@@ -119,7 +119,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """Approximate deepest point of the core, and its depth; depth 0 for a core without area."""
+        """Approximate center of the largest disc in the core, and its depth there; 0 for a core without area."""
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
@@ -129,7 +129,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
-        """Points of the body and radii of discs around them within the body: the reference point first."""
+        """Points of the body, the reference point first, and for each the radius of a disc around it in the body."""
         core, rounding = self.robot.core, self.robot.rounding
         middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
@@ -140,12 +140,12 @@ class RigidBodySpace(BodySpace):
 
 
 def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
-    """Bound how far a point of the body at a radius moves from the center of each box."""
+    """Bound how far a point at distance ``radius`` from the reference point moves from each box's center."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Transform points of the body frame to configurations, turned by an additional angle."""
+    """Return the positions of a body's points at configurations whose headings are increased by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

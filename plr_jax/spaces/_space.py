@@ -20,8 +20,9 @@ class CellState(IntEnum):
 
     Attributes:
         BLOCKED: No path passes through the interior of the box.
-        FREE: Every configuration of the closed box is free, and paths may pass through each into adjacent FREE boxes.
-        MIXED: Neither is proven.
+        FREE: Every configuration of the closed box is free; a path may cross at any of them into an adjacent FREE
+            box.
+        MIXED: Neither BLOCKED nor FREE is proven.
     """
 
     BLOCKED = 0
@@ -31,7 +32,7 @@ class CellState(IntEnum):
 
 @dataclass(frozen=True, init=False)
 class MotionCost:
-    """The cost of a motion: an infinitesimal motion ``dq`` costs the sum over blocks of ``weight * |dq[axes]|``.
+    """The cost of motions ``dq``: the sum of ``weight * |dq[axes]|`` over groups of axes, called blocks.
 
     Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
     a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
@@ -134,7 +135,7 @@ class ConfigurationSpace(FreeTest, Protocol):
 
 @runtime_checkable
 class SeesBoxes(Protocol):
-    """A configuration space that can prove that a point sees every free part of a box.
+    """A configuration space that can prove that a point sees every free configuration of a box.
 
     With it, upper bounds of distances also hold in MIXED boxes next to walls.
     """
@@ -174,13 +175,13 @@ def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, "n"]:
 
 
 def precision_of(numbers: ArrayLike) -> float:
-    """Return the relative precision of a function's answers, float64 or less, such as JAX's float32."""
+    """Return the relative precision of numbers: 2**-23 for float32, 2**-7 for types of 2 bytes, else 2**-52."""
     return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a space that checks the answers of ``is_free``; the base of wrappers that add methods."""
+    """A wrapper of a configuration space that checks the answers of ``is_free``, and the base of other wrappers."""
 
     space: FreeTest
 

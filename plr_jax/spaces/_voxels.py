@@ -70,12 +70,12 @@ class VoxelSpace:
 
     @property
     def domain(self) -> Box:
-        """The bounds."""
+        """The box that the voxels fill."""
         return self.grid.bounds
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length."""
+        """Length of a motion."""
         return MotionCost(((tuple(range(self.grid.dim)), 1.0),))
 
     @property
@@ -96,7 +96,7 @@ class VoxelSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
-        """Classify boxes of positions as free, blocked or mixed; see :meth:`ConfigurationSpace.classify`.
+        """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         For a point, a box that touches an edge or corner where blocked voxels touch is not FREE, since no path passes
         there from one side to the other. A box without extent along some axis that lies in a face of a blocked voxel
@@ -136,10 +136,10 @@ class VoxelSpace:
         return free
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Return whether positions are proven to see every free position of a box: for points only, never for balls.
+        """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.
 
-        The free voxels that the box touches must form a box, and the position must lie in both boxes. The result is
-        False on an edge or corner where blocked voxels touch.
+        The free voxels that the box touches must form a box, and ``q`` must lie in both boxes. The result is False on
+        an edge or corner where blocked voxels touch.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:
