@@ -68,7 +68,7 @@ class _Car(ABC):
         """Return the length of the shortest path from each pose to the goal.
 
         Args:
-            x: Poses ``(x, y, theta)``, ``(n, 3)``; headings may include whole turns.
+            x: Poses ``(x, y, theta)``, ``(n, 3)``; headings in radians, whole turns do not matter.
 
         Returns:
             Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
@@ -135,7 +135,7 @@ class _Car(ABC):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
-        """Return the reflection of poses in the line through the goal along a direction."""
+        """Return the symmetry that reflects positions in a line through the goal, and headings about the goal's."""
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
@@ -167,7 +167,7 @@ class ReedsShepp(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
-        """Reflections of poses in the line along the goal's heading and in the perpendicular line."""
+        """Reflections of positions along and across the goal's heading; both reflect headings about the goal's."""
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
@@ -272,7 +272,7 @@ class Dubins(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry]:
-        """The reflection of poses in the line along the goal's heading."""
+        """The reflection of poses in the line through the goal along its heading."""
         return (self._reflection(self.goal[2]),)
 
     @staticmethod
@@ -294,7 +294,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return the segments of LSL: a first turn, a straight line at an angle, and the rest of the total turn.
+    """Return a left turn to ``angle``, a straight line, and a left turn by the rest of the whole ``turn``.
 
     If a turn lacks almost nothing of a full circle, it is replaced by none, as where a line or a single turn leads to
     the goal. No other word helps there.
