@@ -159,7 +159,7 @@ class SharedCells:
     def of_goals(
         self, goals: Sequence[GoalTurns]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
-        """Return the distinct cells of all goals, their hashes, and their indices by goal and box (-1: no path)."""
+        """Return distinct cells (boxes with sources), their hashes, and the index by goal and box (-1: no path)."""
         cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
         source_table = SharedSources(table.points, len(cells.sight.turns.points), self.step)
         sight = replace(cells.sight, source_table=source_table, shadows=Shadows.of(table), has_goal=True)

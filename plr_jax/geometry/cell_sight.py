@@ -65,7 +65,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the shadows around all viewpoints of a table."""
+        """Find the :class:`Shadows` around all viewpoints of a visibility table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -90,7 +90,7 @@ class Shadows:
     def see(
         self, view: Int[np.ndarray, "pieces"], pieces: Pieces, center: Float[np.ndarray, "pieces 2"]
     ) -> tuple[OfPieces, OfPieces]:
-        """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
+        """Return whether each viewpoint sees its convex piece's center, and if it is known to see all or none."""
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
@@ -243,7 +243,7 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Error of the bounds of distances, since free space is known to a tolerance."""
+        """Error of the bounds of distances that sources give, since free space is known to a tolerance."""
         return 4 * self.sight.tolerance
 
     @property
@@ -252,7 +252,7 @@ class CellSources:
         return self.sight.source_table.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether each given piece contains its ``k`` points, to the tolerance of free space."""
+        """Return whether each given convex piece contains its ``k`` points, to the tolerance of free space."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
@@ -268,7 +268,7 @@ class CellSources:
         return self.sight.source_table.kind[source]
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some pieces, each as a cell of its own."""
+        """Return some convex pieces, each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
@@ -299,7 +299,7 @@ class CellSources:
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
-        """Concatenate the cells of several objects."""
+        """Concatenate the cells, with their pieces and sources, of several objects."""
         several = (self, *others)
         columns = {
             name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))

@@ -43,7 +43,7 @@ class Change:
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
-        """Whether each new edge has no equal among the old ones."""
+        """Whether each edge of the new boundary has no equal in the old one."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new

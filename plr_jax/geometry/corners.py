@@ -240,7 +240,10 @@ def views_by_triangle(
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return points not at vertices, and their triangles: the ``i``-th is in ``third[second[i] : second[i + 1]]``."""
+    """Return the points that are not at vertices, and the one or two triangles that contain each.
+
+    The triangles of the ``i``-th such point are entries ``second[i]`` to ``second[i + 1]`` of the third array.
+    """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

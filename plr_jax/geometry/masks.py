@@ -226,7 +226,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
-    """Return which segments come within ``CLEARANCE`` of another one; common ends alone do not count."""
+    """Return which segments come within ``CLEARANCE`` pixels of another one; common ends alone do not count."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]

@@ -97,7 +97,7 @@ class Triangulation:
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, "edges"]:
-        """The half-edge along each edge of the boundary."""
+        """Index of the half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -126,7 +126,7 @@ class Triangulation:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Whether each corner of a triangle is a vertex where the region touches itself."""
+        """Whether each corner of the triangles is a point contact: a vertex where the region touches itself."""
         return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
 
     @cached_property
@@ -242,12 +242,12 @@ def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
 
 
 def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the next half-edge of the same triangle."""
+    """Return the next half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
 def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the previous half-edge of the same triangle."""
+    """Return the previous half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 
 

@@ -99,8 +99,7 @@ class _Cones:
         return _Cones(*of, self.right[:, rows], self.left[:, rows])
 
     def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
-        """Select cones with ``take``, which is faster than indexing on long rows."""
-        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)
+        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
         return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
@@ -261,7 +260,6 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points lie on the nearest edge in their row's interval of directions, or in front of it."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]

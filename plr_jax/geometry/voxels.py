@@ -87,14 +87,14 @@ class VoxelGrid:
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """Return, by axis, the least and largest number of voxels with each point; they differ if it is on a face."""
+        """Return, along each axis, the least and largest number of the voxels that contain each point."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
     def numbers_along(
         self, axis: int, x: Float[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the least and largest number, along one axis, of voxels with each coordinate."""
+        """Return the least and largest number, along one axis, of the voxels that contain each coordinate."""
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]

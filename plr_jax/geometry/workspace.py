@@ -161,7 +161,7 @@ class Workspace:
             row0: ``"bottom"`` if the first row has the lowest ``y``; ``"top"`` if the highest, as in images.
             tolerance: Largest distance, in pixels, between the simplified and the exact outline, either way. Half a
                 pixel makes inclined walls straight; 0 keeps every corner.
-            drop_specks: Blocked components of at most this many pixels become free, then such free ones blocked.
+            drop_specks: Blocked components of at most this many pixels become free, then free ones become blocked.
             squeeze: As for the class.
 
         Returns:
@@ -216,7 +216,7 @@ class Workspace:
 
     @property
     def edge_tree(self) -> shapely.STRtree:
-        """A Shapely ``STRtree`` of the edges of ``boundary`` as lines, numbered as there."""
+        """A Shapely ``STRtree`` of the edges of ``boundary`` as lines, numbered as in ``boundary.edges``."""
         return self.boundary.tree
 
     @cached_property

@@ -25,7 +25,7 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """Free cells joined by steps, and the distance of every cell to a goal."""
+    """A graph of free cells, joined by legal steps, and the distance of every cell to a goal."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
@@ -187,9 +187,8 @@ class GridGraph(_CellGraph):
         return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=2 * (self.free.size,))
 
     def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
-        """Return distances of all cells from each root cell; ``inf`` for blocked cells, even from themselves."""
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
-        distances[:, ~self.free.ravel()] = np.inf
+        distances[:, ~self.free.ravel()] = np.inf  # also of blocked cells from themselves
         return distances
 
     @cached_property
@@ -282,7 +281,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        """Distance of every padded voxel, by Dial's buckets, which are narrower than the shortest step."""
+        """Distance of every padded voxel to the goal, by Dial's buckets, each narrower than the shortest step."""
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)

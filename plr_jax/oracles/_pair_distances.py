@@ -116,7 +116,6 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
-        """Return lower bounds of path lengths: straight to each listed corner, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 

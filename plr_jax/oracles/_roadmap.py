@@ -118,7 +118,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 
 def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
-    """Wrap a user's test: points are wrapped into the domain, others are not free, and its answers are checked."""
+    """Wrap a user's test: nothing outside the domain is free, periodic axes are wrapped, and answers are checked."""
     return partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
 
 

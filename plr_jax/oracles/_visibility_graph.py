@@ -388,7 +388,6 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
 def _triangle_sources(
     oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
 ) -> TriangleSources:
-    """Return triangles paired with the turn points, and the goal, that may see a part of them."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
     seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
