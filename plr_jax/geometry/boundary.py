@@ -378,7 +378,7 @@ _PREPARED = _Prepared()
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return the geometry that ``make`` returned, prepared and cached once per thread: GEOS may crash if shared."""
+    """Return ``make()``, prepared and cached by owner, name and thread: GEOS may crash if threads share it."""
     of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()

@@ -195,7 +195,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """Turn points that see a part of each triangle ``t`` inside their cones: ``turn[first[t] : first[t + 1]]``."""
+    """The turn points that see a part of triangle ``t`` in their cones, as ``turn[first[t] : first[t + 1]]``."""
 
     turns: TurnPoints
     triangulation: Triangulation

@@ -366,7 +366,7 @@ class _Mesh:
 def _inside(
     edges: Int[np.ndarray, "edges 2"], triangles: Int[np.ndarray, "triangles 3"], num_vertices: int
 ) -> tuple[Int[np.ndarray, "half_edges"], ...]:
-    """Return ``origin``, ``twin`` and ``wall`` of a :class:`Triangulation` of the triangles in free space."""
+    """Return ``origin``, ``twin``, ``wall`` (see :class:`Triangulation`) of triangles on the free side of walls."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
     wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)

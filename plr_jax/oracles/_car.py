@@ -297,7 +297,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return a left turn to ``angle``, a straight line, and a left turn by the rest of the whole ``turn``.
+    """Return the lengths of LSL: a left turn by ``angle``, a straight line, and the rest of the total ``turn``.
 
     If a turn lacks almost nothing of a full circle, it is replaced by none, as where a line or a single turn leads to
     the goal. No other word helps there.
