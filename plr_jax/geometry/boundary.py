@@ -54,12 +54,12 @@ class Boundary:
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "edges"]:
-        """``normal @ x`` for points ``x`` on each edge; larger values lie on the side of the region."""
+        """``normal @ x`` for points ``x`` on each edge; it is larger for points on the side of the region."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @cached_property
     def tree(self) -> shapely.STRtree:
-        """A Shapely tree of the edges as lines, in their order."""
+        """A Shapely ``STRtree`` of the edges as lines, numbered as in ``edges``."""
         segments: Any = shapely.linestrings(self.segments)
         return shapely.STRtree(segments)
 
@@ -79,7 +79,7 @@ class Boundary:
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
     """Return the boundary of a valid (Multi)Polygon, with edges split at the vertices that lie on them.
 
-    It is None if a vertex is within the tolerance of an edge without clearly lying on it, or if two edges coincide
+    Return None if a vertex is within the tolerance of an edge without clearly lying on it, or if two edges coincide
     after the split. Vertices and edges of the ``known`` boundary are not compared with one another again.
     """
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
@@ -126,7 +126,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 def match_boundary(
     vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return the index of each old vertex and edge among new ones; -1 if none is equal to the bit."""
+    """Return, for each vertex and edge of ``old``, the index of the new one that is equal to the bit, or -1."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -141,7 +141,7 @@ def _vertices_near_edges(
     some_vertices: Int[np.ndarray, "some_vertices"],
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Return pairs of a vertex and an edge within the tolerance, except for the ends of edges."""
+    """Return the vertices and the edges of all pairs within the tolerance, except edges with their own ends."""
     none = np.empty(0, int)
     if not (len(some_vertices) and len(some_edges)):
         return none, none
@@ -163,13 +163,12 @@ def _vertices_near_edges(
 def _boxes_meet(
     boxes: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether the bounding box of each group of points meets that of all others."""
     lo, hi = others.min(axis=(0, 1)) - tolerance, others.max(axis=(0, 1)) + tolerance
     return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
 
 
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
-    """Return the region near a boundary that a disc's center must avoid: strips along walls, fans at corners."""
+    """Return what a disc's center must avoid: strips along edges, and fans of triangles at reflex corners."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
@@ -201,7 +200,7 @@ _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter s
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Return valid polygons in the order given; errors call them ``name`` and number.
+    """Return valid polygons in the order given; errors call polygon ``i`` by ``name`` and ``i``.
 
     ``shapes`` is a Shapely polygon, linear ring, multipolygon (kept as one) or collection (flattened), or an iterable
     of these and of rings ``(n, 2)``, closed or not.
@@ -287,17 +286,17 @@ def rounding_of(bounds: Box) -> float:
 
 
 def rounding_at(width: float, reach: float) -> float:
-    """Return the rounding error of coordinates up to ``reach``, at least 1e-12 of the larger side."""
+    """Return the rounding error of coordinates up to ``reach``, at least 1e-12 of the longer side ``width``."""
     return float(max(1e-12 * width, 1e-15 * reach))
 
 
 def grid_of(bounds: Box) -> float:
-    """Return the grid spacing of vertices within bounds, a power of two so that dyadic fractions are not rounded."""
+    """Return the spacing to which vertices are rounded, a power of two, so that dyadic fractions stay exact."""
     return grid_at(1e3 * rounding_of(bounds))
 
 
 def grid_at(tolerance: float) -> float:
-    """Return the grid spacing of vertices in a workspace of given tolerance, about a thousandth of it."""
+    """Return the spacing to which a workspace rounds vertices, 1/1000 to 1/500 of its tolerance."""
     return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
@@ -379,7 +378,7 @@ _PREPARED = _Prepared()
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return a cached geometry, prepared by GEOS, one per thread, since GEOS may crash if threads share it."""
+    """Return ``make()``, prepared and cached by owner, name and thread: GEOS may crash if threads share it."""
     of_owner = _PREPARED.of_owner.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
@@ -396,7 +395,7 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    """Round free space to the grid, by ``rounded``, and simplify it; raise ``ValueError`` if nothing is free."""
+    """Round and simplify free space; raise ``ValueError`` if nothing is free, or walls or gaps are too thin."""
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
     region = _simplify(rounded(free, grid), 4 * grid)
@@ -417,7 +416,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return :func:`region_of` of free space that changed locally, without comparing its unchanged edges again."""
+    """Return the :class:`Region` of locally changed free space, without comparing old edges with one another."""
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

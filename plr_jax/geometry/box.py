@@ -81,7 +81,7 @@ class Box:
         return self.hi - self.lo
 
     def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
-        """Return points at fractions ``(..., dim)`` of the widths, or at ``(..., 1)`` if equal along all axes."""
+        """Return points at fractions ``(..., dim)`` of the widths; a last axis of length 1 serves for all axes."""
         # All faces of cells and voxels come from this formula, so that equal faces are equal to the bit.
         return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
 
@@ -92,7 +92,7 @@ class Box:
 
     @property
     def in_single(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-        """Corners as 32-bit floats, rounded outward, so that points of the box rounded to 32 bits stay inside."""
+        """Lower and upper corner in 32 bits, rounded outward, so that points of the box stay inside if rounded."""
         lo, hi = self.lo.astype(np.float32), self.hi.astype(np.float32)
         return (
             np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
@@ -101,13 +101,13 @@ class Box:
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """Distance of each corner of ``in_single`` from the box, ``(2, dim)``, rounded down and at least 0."""
+        """Distances along each axis of the corners ``in_single`` from the box; rounded down, at least 0."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
 
     def settled(self, x: ArrayLike) -> ArrayLike:
-        """Move 32-bit points ``(..., dim)`` that only rounding put outside the box onto its faces; keep others."""
+        """Move 32-bit points ``(..., dim)`` that are outside the box only by rounding onto its faces; keep others."""
         is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
         if not is_plain or np.shape(x)[-1:] != (self.dim,):
             return x
@@ -132,8 +132,8 @@ class Box:
     def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """Move coordinates along periodic axes by whole periods into ``[lo, hi)``, in double precision.
 
-        Other axes of the points ``(..., dim)``, infinity, and NaN stay. A moved coordinate within rounding of the
-        seam becomes ``lo``.
+        Other coordinates of the points ``(..., dim)`` stay, as do infinite ones and NaN. A moved coordinate within
+        rounding of the seam becomes ``lo``.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):
@@ -239,7 +239,7 @@ class Slice:
         return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
-        """Return cell centers as :meth:`Box.grid` does over the slice, as points of the whole domain."""
+        """Return the cell centers of a grid over the slice (see :meth:`Box.grid`), as points of the whole domain."""
         centers = self.box.grid(resolution)
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers

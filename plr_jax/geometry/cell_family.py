@@ -1,4 +1,4 @@
-"""Sources that the points of cells may go to first, for many goals of one workspace at once."""
+"""Sources of cells (the goal, and corners where paths may turn first), for many goals of one workspace at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,15 +24,15 @@ from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 _STEP = 2.0**-44  # resolution of relative distances, as a share of the domain's width
 
 GoalTurns = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
-"""The visibility polygon of a goal, and the kinds and distances of the turns on shortest paths to it."""
+"""The visibility polygon of a goal, and the turns on shortest paths to it: ``2 * corner + side``, and distance."""
 
 
 class SharedSources:
-    """Indices for the sources of many goals, equal for cells that differ by a constant between goals.
+    """A table of sources (goals, and corners where paths may turn first) of many goals, each stored once.
 
-    Which source of a piece is best, and by how much, depends only on differences of their distances. Behind a corner
-    these are equal for all goals that are reached through it. So distances are counted from the nearest source of
-    each cell, in multiples of ``step``, and each pair of a kind and such a distance is stored once. A *kind* is a
+    Which source is best at a point, and by how much, depends only on differences of the sources' distances. Behind a
+    corner these are equal for all goals that are reached through it. So distances are counted from the nearest source
+    of each cell, in multiples of ``step``, and each pair of a kind and such a distance is stored once. A *kind* is a
     corner and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
     """
 
@@ -43,7 +43,7 @@ class SharedSources:
         self._sources: Sources | None = None
 
     def indices_of(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the index of each source; new sources get the next indices, in their order."""
+        """Return the table index of each source (a kind and a relative distance); new sources are appended."""
         steps = np.rint(distance / self._step).astype(np.int64)
         hashes = hash64(kind) + hash64(steps ^ np.int64(1 << 62))
         keys, first, index = np.unique(hashes, return_index=True, return_inverse=True)
@@ -65,24 +65,24 @@ class SharedSources:
 
     @property
     def view(self) -> Int[np.ndarray, "sources"]:
-        """Viewpoint of each source."""
+        """Index of the viewpoint of each source: corners first, then goals."""
         return self.kind >> 1
 
     @property
     def turn(self) -> Int[np.ndarray, "sources"]:
-        """Index of the turn point of each source, -1 for goals."""
+        """Index ``2 * corner + side`` of each source's turn point, -1 for goals."""
         return np.where(self.kind < self._num_turns, self.kind, -1)
 
     @property
     def sources(self) -> Sources:
-        """Points and distances of all sources."""
+        """Points and relative distances of all sources in the table."""
         if self._sources is None:
             self._sources = Sources(self._points[self.view], self._steps * self._step, np.arange(len(self.kind)))
         return self._sources
 
 
 class FamilySources(CellSources):
-    """The sources of cells of several goals; cells whose distances differ only by a constant are stored once."""
+    """Sources of the cells of several goals; cells whose distances differ only by a constant are stored once."""
 
     is_family: ClassVar[bool] = True
 
@@ -95,10 +95,10 @@ class FamilySources(CellSources):
         hi: PartCorner,
         cell: UInt64[np.ndarray, "parts"],
     ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "distinct"], PartIndex]:
-        """Cut parts off cells, as :meth:`CellSources.parts`, and keep those with distinct boxes, pieces or pairs.
+        """Cut parts off cells, as :meth:`CellSources.parts`, and keep those with distinct boxes, pieces or sources.
 
-        ``cell`` holds a hash of each part's box. Returns the distinct parts, their keys, the first part equal to
-        each, and the distinct part of each part.
+        ``cell`` holds a hash of each part's box. Return the distinct parts, a hash of each, the index of the first
+        part equal to each, and for every part the index of its distinct part.
         """
         inherited, changed = self.cut(parent, axis, is_upper, lo, hi)
         first, index = _first_occurrences(inherited.keys(cell))
@@ -107,13 +107,13 @@ class FamilySources(CellSources):
         return settled, settled.keys(cell[first]), first, index
 
     def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
-        """Return a hash of each cell: of the given hash of its box, and of its pieces and pairs."""
+        """Return a hash of each cell: of its box (whose hash is given), its convex pieces and their sources."""
         pair = hash64(self.source * 2 + self.by_all) + hash64(self.triangle[self.piece] + (1 << 40))
         total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(hash64(pair), dtype=np.uint64)])
         return hash64(np.diff(total[self.first_pair[self.first_piece]])) + cell
 
     def relative_to_nearest(self) -> "FamilySources":
-        """Return the same cells with distances relative to the least distance of each cell's sources."""
+        """Return the cells with each cell's distances reduced by the least distance of its sources."""
         source_table, distances = self.sight.source_table, self.sources.distances
         least = np.full(self.num_cells, np.inf)
         np.minimum.at(least, self.cell[self.piece], distances[self.source])
@@ -132,8 +132,8 @@ class SharedCells:
     """Boxes of a workspace with what is the same for all goals: free convex pieces, and the corners that see them.
 
     ``radius`` is the largest distance from the center of each piece to a point of it. For each pair of a piece and a
-    turn of :func:`turns_by_side`, ``length`` is the distance from the center to the corner, and ``by_center`` says
-    whether the center sees the corner.
+    corner, ``length`` is the distance from the piece's center to the corner, and ``by_center`` says whether the
+    center sees the corner. Distances of goals are rounded to multiples of ``step``.
     """
 
     corners: CornerVisibility
@@ -147,7 +147,7 @@ class SharedCells:
     def of(
         corners: CornerVisibility, triangulation: Triangulation, domain: Box, lo: PartCorner, hi: PartCorner
     ) -> "SharedCells":
-        """Compute the shared part of some boxes in a domain."""
+        """Compute the free convex pieces of boxes in a domain, and the corners that see each piece."""
         lists = turns_by_triangle(corners, triangulation)
         cells = CellSources.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
         radius = np.sqrt(np.square(cells.pieces - cells.center.T[:, :, None]).sum(axis=0).max(axis=1))
@@ -159,7 +159,7 @@ class SharedCells:
     def of_goals(
         self, goals: Sequence[GoalTurns]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
-        """Return the distinct cells of all goals, their keys, and each goal's cells as indices of these (or -1)."""
+        """Return distinct cells (boxes with sources), their hashes, and the index by goal and box (-1: no path)."""
         cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
         source_table = SharedSources(table.points, len(cells.sight.turns.points), self.step)
         sight = replace(cells.sight, source_table=source_table, shadows=Shadows.of(table), has_goal=True)
@@ -196,7 +196,7 @@ class SharedCells:
         return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
 
     def _pairs(self, goals: Sequence[GoalTurns], shadows: Shadows) -> tuple[np.ndarray, ...]:
-        """Return goal, piece, kind, distance, and visibility from the piece and its center, of relevant pairs."""
+        """Return goal, piece, kind and distance of useful sources; whether all of the piece and its center see it."""
         cells, table, columns = self.cells, shadows.table, []
         lowest, highest = cells.pieces.min(axis=2).T, cells.pieces.max(axis=2).T
         first, num_corners = np.unique(cells.piece, return_index=True)[1], len(self.corners.corners.points)
@@ -229,13 +229,11 @@ class SharedCells:
 
 
 def _group_sorted(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    """Return the distinct values of sorted keys, and the index of each key among them."""
     new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
     return keys[new], np.cumsum(new) - 1
 
 
 def _first_occurrences(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    """Return the first position of each distinct key, ascending, and the index of each key among these."""
     _, first, index = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[index]

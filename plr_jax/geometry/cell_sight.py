@@ -46,15 +46,15 @@ _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
 SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
-"""Sources that see a part of each triangle: first entry of each triangle and number of entries; sources."""
+"""``(first, sources)``: the goal and corners ``sources[first[t] : first[t + 1]]`` see a part of triangle ``t``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """The shadows around viewpoints, sorted by viewpoint and direction.
+    """Parts of rays past a corner, between the nearer and the farther wall, sorted by viewpoint and direction.
 
-    ``key`` is the pseudo-angle of a shadow from the cut of its viewpoint, plus 4 times the viewpoint's index.
-    ``unit`` is its direction as a unit vector; ``start`` and ``end`` are distances from the viewpoint.
+    ``key`` is the pseudo-angle of a shadow from its viewpoint's zero direction (``VisibilityTable.cut``), plus 4
+    times the viewpoint's index. ``unit`` is its direction; ``start`` and ``end`` are distances from the viewpoint.
     """
 
     table: VisibilityTable
@@ -65,7 +65,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the shadows of all viewpoints of a table."""
+        """Find the :class:`Shadows` around all viewpoints of a visibility table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -90,7 +90,7 @@ class Shadows:
     def see(
         self, view: Int[np.ndarray, "pieces"], pieces: Pieces, center: Float[np.ndarray, "pieces 2"]
     ) -> tuple[OfPieces, OfPieces]:
-        """Return whether each viewpoint sees the center of its piece, and whether no shadow crosses the piece."""
+        """Return whether each viewpoint sees its convex piece's center, and if it is known to see all or none."""
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
@@ -139,7 +139,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> SourceLists:
-    """Return the turns of :func:`turns_by_side` that see a part of each triangle of free space."""
+    """Return, for each triangle of free space, the turn points (:func:`turns_by_side`) that see a part of it."""
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -149,7 +149,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class SightedSources:
-    """Sources, and the viewpoint and the turn of each; -1 for a goal. Ties go to the smallest ``kind``."""
+    """Sources (goals and corners), with viewpoint and turn point (-1: a goal). Ties go to the smallest ``kind``."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]
@@ -159,7 +159,7 @@ class SightedSources:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide which sources a piece may use; ``source_table`` is a :class:`SightedSources` or similar."""
+    """Data that decide where paths from a convex piece may go first; ``source_table`` is like ``SightedSources``."""
 
     source_table: Any
     shadows: Shadows
@@ -178,7 +178,10 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> OfPieces:
-        """Return whether a shortest path from some point of each piece may turn at its source, if visible."""
+        """Return, for each convex piece and its source, whether a shortest path from some point may turn there.
+
+        The source is a corner, which the point is assumed to see, or the goal, where the answer is True.
+        """
         turn = self.source_table.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
@@ -192,10 +195,11 @@ class Sight:
 class CellSources:
     """The free convex pieces of cells, and the sources that some point of each piece may go to first.
 
-    Pieces are sorted by ``cell``, pairs of a ``piece`` and a ``source`` by piece. If the distances of sources are
-    known, the distance of any point of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
-    sources ``s``. It is at most the minimum over the sources that all of the piece sees. Both bounds hold to within
-    :attr:`slack`. Pieces without a path to the goal are left out, so that each piece has a source.
+    A source is the goal or a corner at which a path may turn first. Pieces are sorted by ``cell``, pairs of a
+    ``piece`` and a ``source`` by piece. If distances of sources are known, the distance of any point of a piece is
+    at least the minimum of ``distances[s] + |x - points[s]|`` over its sources ``s``. It is at most the minimum over
+    the sources that all of the piece sees. Both bounds hold to within :attr:`slack`. Pieces without a path to the
+    goal are then left out, so that each piece has a source.
 
     Attributes:
         triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
@@ -203,7 +207,7 @@ class CellSources:
         distance: Distance of each center to the goal, or an upper bound if no source is known to see the center;
             ``inf`` if it was not computed.
         best: The source that the shortest path from each center goes to first, or one near it; 0 if not computed.
-        by_all: Whether every point of the pair's piece sees its source.
+        by_all: Whether every point of the pair's piece is known to see its source.
         is_family: Whether equal cells of several goals are stored once.
     """
 
@@ -222,7 +226,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
-        """Return the pieces of boxes, each a cell; ``lists`` holds candidate sources of each triangle."""
+        """Return the free convex pieces of boxes, each box a cell; ``lists`` holds the sources to try by triangle."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -239,42 +243,42 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Error of the bounds, since free space is known to a tolerance."""
+        """Error of the bounds of distances that sources give, since free space is known to a tolerance."""
         return 4 * self.sight.tolerance
 
     @property
     def sources(self) -> Sources:
-        """Points and distances of all sources."""
+        """Points of all sources (goal and corners), and their distances to the goal."""
         return self.sight.source_table.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether each given piece contains its ``k`` points, to the tolerance of free space."""
+        """Return whether each given convex piece contains its ``k`` points, to the tolerance of free space."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points of free space are seen by sources."""
+        """Return whether each source (goal or corner) sees its point of free space."""
         return self.sight.shadows.table.sees(self.views(source), points)
 
     def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the viewpoint of each source; for one goal, viewpoints are numbered as sources."""
+        """Return the index of each source's viewpoint in the visibility table."""
         return self.sight.source_table.view[source]
 
     def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the ranks by which ties between sources are broken; the smallest wins."""
+        """Return the rank of each source; of equally good sources, the one of smallest rank is chosen."""
         return self.sight.source_table.kind[source]
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some pieces, each as a cell of its own."""
+        """Return some convex pieces, each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
     def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
-        """First piece of each cell, then the number of pieces."""
+        """Index of the first convex piece of each cell, then the number of pieces."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
     def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
-        """First pair of each piece, then the number of pairs."""
+        """Index of the first source of each convex piece, then the number of pairs of a piece and a source."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
@@ -283,7 +287,7 @@ class CellSources:
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Select pieces; the cells stay the same."""
+        """Select convex pieces; the cells stay, and may become empty."""
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
@@ -291,11 +295,11 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
-        """Select pairs."""
+        """Select pairs of a piece and a source."""
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
-        """Concatenate the cells of several objects."""
+        """Concatenate the cells, with their pieces and sources, of several objects."""
         several = (self, *others)
         columns = {
             name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))
@@ -307,19 +311,19 @@ class CellSources:
         return replace(self, num_cells=sum(each.num_cells for each in several), **columns)
 
     def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
-        """Cut parts off cells: boxes that lie in one cell each and are cut from it along one axis."""
+        """Return boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across ``axis``, as cells with sources."""
         part, is_cut = self.cut(parent, axis, is_upper, lo, hi)
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def cut(
         self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
     ) -> tuple[Self, OfPieces]:
-        """Return parts of cells with all that their pieces inherit, and which pieces were cut."""
+        """Return parts of cells, whose pieces keep all sources of the uncut pieces, and which pieces were cut."""
         pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
         return replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Merge the pieces of each box that no wall reaches into, and prune the sources of changed pieces."""
+        """Merge the convex pieces of boxes that no wall reaches into; drop needless sources of changed pieces."""
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
         rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
@@ -408,7 +412,7 @@ class CellSources:
 
 
 def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return the :class:`Sight` of one goal, whose sources are the goal, then the corners."""
+    """Return the :class:`Sight` of one goal; sources are the goal, then the corners where paths may turn."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
@@ -416,13 +420,13 @@ def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, tria
 
 
 def lists_of_goal(regions: TurnRegions) -> SourceLists:
-    """Return the sources that points of each triangle may use: the goal, and the turns that see a part of it."""
+    """Return where paths from each triangle may go first: the goal, and the turn points that see a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the :class:`Sight` for any goal; its sources are the turns of :func:`turns_by_side`."""
+    """Return the :class:`Sight` for any goal; its sources are corners with the side that paths bend around."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
@@ -432,7 +436,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 def corners_of_cells(
     found: CellSources,
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
-    """Return each cell's corners at which paths may turn first, and whether all of the cell sees the corner."""
+    """Return pairs of a cell and a corner where its paths may turn first, and whether all of it sees the corner."""
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

@@ -38,12 +38,12 @@ class Change:
 
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
-        """Compare two boundaries."""
+        """Match the equal vertices and edges of two boundaries."""
         return Change(old, new, *match_boundary(new.vertices, new.edges, old))
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
-        """Whether each new edge has no equal among the old ones."""
+        """Whether each edge of the new boundary has no equal in the old one."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
@@ -65,14 +65,14 @@ class Change:
         return lo, hi
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Return corners of boxes, with a margin, around each connected group of changed edges."""
+        """Return corners of the bounding box, grown by ``margin``, of each connected group of changed edges."""
         lo, hi = self._extents
         ends = zip(lo - margin, hi + margin, strict=True)
         return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change; None if rounding keeps new triangles from filling the gap."""
+    """Return the triangulation after a change; None if, by rounding, new triangles do not fill the changed part."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
@@ -133,7 +133,7 @@ GoalView: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "_"]]
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """Update what corners and a goal see after a change; the workspace has its new triangulation."""
+    """Return the visibility of corners, and the goal's view, in the changed workspace, which is triangulated."""
     corners, views = find_corners(workspace)
     # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
@@ -188,7 +188,6 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
-    """Return which viewpoints see a removed edge, or may see the bounding box of a change."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
@@ -201,7 +200,7 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether each viewpoint may see a convex polygon: not if every wall in its direction is closer."""
+    """Return whether each viewpoint may see its convex polygon: not if every wall in its direction is closer."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
@@ -229,7 +228,7 @@ def may_see_polygons(
 
 
 class _ViewSelection(NamedTuple):
-    """Selected viewpoints of a table, and the index of each in the result."""
+    """Rows ``which`` (viewpoints) of a visibility table, and the index ``place`` of each in the spliced table."""
 
     table: VisibilityTable
     which: Int[np.ndarray, "views"]
@@ -237,7 +236,7 @@ class _ViewSelection(NamedTuple):
 
 
 def _splice(parts: Sequence[_ViewSelection], change: Change) -> VisibilityTable:
-    """Return one table of selected viewpoints, with the indices of the new boundary."""
+    """Return one table of the selected viewpoints; vertices and edges are numbered as in the new boundary."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

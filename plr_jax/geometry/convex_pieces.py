@@ -1,4 +1,4 @@
-"""Arrays of convex pieces of the plane: clipping, measures, and extremes of differences of cones over them.
+"""Arrays of convex polygons (pieces): clipping, areas, and extremes of differences of cones over them.
 
 Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
 """
@@ -18,7 +18,7 @@ ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clippi
 
 
 def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
-    """Return the part of each piece where a linear function, given at the corners, is at least 0."""
+    """Return the part of each convex piece where a linear function, given by its corner values, is at least 0."""
     inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
     crosses = inside != (after >= 0)
@@ -40,7 +40,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
 
 
 def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
-    """Return a point inside each piece: the mean of its distinct corners."""
+    """Return a point inside each convex piece: the mean of its distinct corners."""
     new = np.ones(pieces.shape[1:], bool)
     new[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
     new[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
@@ -49,13 +49,13 @@ def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
 
 
 def areas(pieces: Pieces) -> Float[np.ndarray, "pieces"]:
-    """Return the area of each piece."""
+    """Return the area of each convex piece."""
     x, y = pieces - pieces[:, :, :1]
     return (x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1) / 2
 
 
 def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n room"]:
-    """Return boxes as pieces."""
+    """Return boxes as convex pieces: x and y of their corners, counterclockwise, the last one repeated."""
     corner = np.minimum(np.arange(ROOM), 3)
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)[:, corner]
     y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)[:, corner]
@@ -65,7 +65,7 @@ def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) 
 def contain(
     pieces: Pieces, points: Float[np.ndarray, "pieces k 2"], tolerance: float
 ) -> Bool[np.ndarray, "pieces k"]:
-    """Return whether each piece contains its ``k`` points, to the tolerance."""
+    """Return whether each convex piece contains its ``k`` points, or is within ``tolerance`` of them."""
     near = np.ones(points.shape[:2], bool)
     for along, at in zip(pieces, np.moveaxis(points, 2, 0), strict=True):
         near &= at >= lowest(along)[:, None] - tolerance
@@ -92,7 +92,7 @@ def cut_parts(
 ) -> tuple[
     Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
 ]:
-    """Cut the pieces of cells to parts of the cells: boxes, each cut from its ``parent`` cell across one axis.
+    """Clip the convex pieces of cells to parts of cells: boxes, each cut off its ``parent`` cell across one axis.
 
     Returns:
         The pieces, sorted by part, possibly some of area 0; the part of each; its original piece; whether it was cut.
@@ -112,7 +112,7 @@ def cut_parts(
 def clip_to_boxes(
     pieces: Pieces, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
 ) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
-    """Return the parts of pieces inside boxes, sorted by box; the box and the original piece of each part."""
+    """Intersect convex pieces with boxes; return parts of positive area by box, and the box and piece of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     box, rows = np.nonzero((x0 < hi[:, :1]) & (x1 > lo[:, :1]) & (y0 < hi[:, 1:]) & (y1 > lo[:, 1:]))
     pieces = pieces[:, rows]
@@ -127,17 +127,17 @@ def clip_to_boxes(
 
 
 def next_corner(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
-    """Return the value at the next corner, for each corner."""
+    """Return, for each corner of each convex piece, the value at the next corner."""
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)
 
 
 def lowest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
-    """Return the least value of each piece, in a layout that is fast in NumPy."""
+    """Return the least value of each row; faster than ``values.min(axis=1)`` if rows are short."""
     return np.ascontiguousarray(values.T).min(axis=0)
 
 
 def highest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
-    """Return the largest value of each piece, in a layout that is fast in NumPy."""
+    """Return the largest value of each row; faster than ``values.max(axis=1)`` if rows are short."""
     return np.ascontiguousarray(values.T).max(axis=0)
 
 
@@ -159,7 +159,7 @@ Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest value of ``offset + |x - apex|`` minus another cone over each piece."""
+    """Return the least and largest value, in each convex piece, of ``offset + |x - apex|`` minus the other cone."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -187,7 +187,7 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbe
 def cone_above_plane(
     pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Return the smallest and largest value of a cone minus the plane ``slope . x + intercept`` over each piece."""
+    """Return the least and largest value of ``offset + |x - apex|`` minus ``slope . x + intercept``, by piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)
@@ -205,7 +205,7 @@ def cone_above_plane(
 
 
 def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
-    """Return corners, unit vectors along edges, and their lengths, with axes (corners, pieces)."""
+    """Return x and y of corners, x and y of unit vectors along edges, and edge lengths: axes (corners, pieces)."""
     x, y = pieces.transpose(0, 2, 1)
     new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
     count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1

@@ -22,7 +22,7 @@ class ReflexCorners:
     Attributes:
         walls: Unit vectors along the walls at which each corner's free sector opens, counterclockwise, and closes;
             zero for points that a path can turn around on any side: the goal, and point contacts with ``squeeze``.
-        slack: How far on the wrong side of a line through a corner a point may lie.
+        slack: Tolerance, in workspace units, in tests on which side of a line through a corner a point lies.
     """
 
     points: Float[np.ndarray, "corners 2"]
@@ -35,7 +35,7 @@ class ReflexCorners:
         return ReflexCorners(points, np.concatenate([np.zeros((2, 1, 2)), self.walls], axis=1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners that differ from a point."""
+        """Return the corners that do not lie exactly at a point."""
         other = (self.points != point).any(axis=1)
         return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
 
@@ -58,7 +58,7 @@ class ReflexCorners:
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
-    """Return the reflex corners of free space (and point contacts with ``squeeze``), and the same as viewpoints."""
+    """Return the reflex corners of free space (with ``squeeze``, also point contacts), and viewpoints at them."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -73,7 +73,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners of a workspace, the same as viewpoints, their visibility polygons, and the visibility graph."""
+    """Corners where paths can turn, viewpoints at them, visibility polygons, and edges of the visibility graph."""
 
     corners: ReflexCorners
     views: Viewpoints
@@ -82,12 +82,12 @@ class CornerVisibility:
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, "vertices"]:
-        """The corner at each vertex of the boundary, -1 where there is none."""
+        """The index of the corner at each vertex of the boundary, -1 where there is none."""
         return corner_of_vertex(self.table.boundary, self.views)
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
-    """Compute what the corners of a workspace see, which is independent of goals."""
+    """Compute what the corners of a workspace see, which does not depend on goals."""
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
@@ -98,7 +98,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return each pair of corners once that see one another and whose line is tangent at one of them."""
+    """Return each pair of corners once that see one another, if their line is tangent to the walls at one of them."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
@@ -109,15 +109,14 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
-    """Return the corner at each vertex of a boundary, -1 where there is none."""
+    """Return the index of the corner at each vertex of a boundary, -1 where there is none."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
 
 
 def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
-    """Return sorted distinct keys; faster than the hashing of ``np.unique`` if most keys are distinct."""
-    keys = np.sort(keys)
+    keys = np.sort(keys)  # faster than the hashing of ``np.unique`` if most keys are distinct
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
 
@@ -125,13 +124,13 @@ def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
 class TurnPoints:
     """The corners at which a shortest path to one goal can turn first, and the cone of points from which it can come.
 
-    At such a corner the path bends around the obstacle. For a given path onward, it comes from between the straight
-    continuation and the far wall of the corner, that is, from in front of two lines. Other paths could be shortened.
+    At such a corner the path bends around the obstacle. The path onward is known. So the path before comes from
+    between its straight extension and the corner's far wall, in front of two lines; any other could be shortened.
 
     Attributes:
-        vertex: Indices of the corners, where the goal is vertex 0.
+        vertex: Indices of the corners, where the goal is vertex 0; ``distance`` is that from there to the goal.
         normal: Normals of the two lines through each corner; zero where any point is possible.
-        slack: How far behind the lines a point may lie.
+        slack: Distance, in workspace units, up to which a point may lie behind the lines.
     """
 
     vertex: Int[np.ndarray, "turns"]
@@ -142,13 +141,13 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Directions of the right and left bound of each corner's cone."""
+        """Unit vectors along the right and left bound of each corner's cone; zero where any point is possible."""
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return path lengths through each corner; NaN if the path would not bend around the corner."""
+        """Return path lengths from each point through each corner to the goal; NaN if it would not bend around it."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -159,7 +158,7 @@ class TurnPoints:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first vertex of the shortest path from each point, -1 if it sees none, and the path's length."""
+        """Return the first corner on each point's shortest path with turns, and its length; else -1 and ``inf``."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]),
             len(x),
@@ -172,7 +171,7 @@ class TurnPoints:
 def find_turn_points(
     vertices: ReflexCorners, distances: Float[np.ndarray, "vertices"], parents: Int[np.ndarray, "vertices"]
 ) -> TurnPoints:
-    """Return the corners that bend shortest paths to the goal; the parent of a vertex is next on its path."""
+    """Return the corners where shortest paths to the goal can turn first; ``parents``: the next vertex from each."""
     vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
@@ -196,7 +195,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """Turn points that see a part of triangle ``t`` inside their cones: ``turn[first[t] : first[t + 1]]``."""
+    """The turn points that see a part of triangle ``t`` in their cones, as ``turn[first[t] : first[t + 1]]``."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -206,7 +205,7 @@ class TurnRegions:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first vertex of the shortest path from each point, or -1, and the path's length, or ``inf``."""
+        """Return the first corner on each point's shortest path with turns, and its length; else -1 and ``inf``."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
@@ -231,7 +230,7 @@ class TurnRegions:
 def views_by_triangle(
     triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]
 ) -> tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]:
-    """Group (view, triangle) pairs by triangle, without repetitions: first entry of each triangle, and views."""
+    """Return ``(first, views)``: ``views[first[t] : first[t + 1]]`` are the viewpoints paired with triangle ``t``."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
@@ -241,7 +240,10 @@ def views_by_triangle(
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return the points that are not at vertices, and the one or two triangles of each, with offsets."""
+    """Return the points that are not at vertices, and the one or two triangles that contain each.
+
+    The triangles of the ``i``-th such point are entries ``second[i]`` to ``second[i + 1]`` of the third array.
+    """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

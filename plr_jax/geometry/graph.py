@@ -1,4 +1,4 @@
-"""Shortest paths: Dijkstra's algorithm over geometric graphs, and the nearest of many points that is visible."""
+"""Shortest paths: Dijkstra's algorithm over geometric graphs, and the best visible first vertex of a path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class Graph:
 
 
 def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Return the distance of each vertex from a source, and its predecessor: ``inf`` and negative without a path."""
+    """Return each vertex's distance from ``source`` (``inf``: no path), and its predecessor (negative: none)."""
     distances, parents = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True)
     return distances, parents
 
@@ -114,7 +114,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` with ``lengths(rows)`` computed for a slice of points at a time."""
+    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths(rows)`` are those of a slice."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):

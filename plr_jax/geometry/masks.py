@@ -30,7 +30,7 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 class PixelRings:
     """Closed rings of corners ``(x, y)``: ``points[start[r] : start[r + 1]]``, each listing its first corner once.
 
-    ``is_contact`` marks corners in which free pixels touch; there two rings meet, or one ring twice.
+    ``is_contact`` marks corners at which free pixels touch only diagonally; two rings meet there, or one ring twice.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -101,9 +101,9 @@ CLEARANCE = 0.25  # pixels that links without a common end keep from one another
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Possible ends of links, ring by ring: corners, middles of steps, and the first corner again.
+    """Possible ends of the segments of simplified rings: corners, middles of steps, and the first corner again.
 
-    ``end`` is the next station that a link must not pass: a contact, or the last station of the ring.
+    ``end`` is the next station that a segment must not pass: a contact, or the last station of the ring.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -113,7 +113,7 @@ class _Stations:
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Simplify outlines: links replace stretches of outline that stay within a tolerance, in pixels."""
+    """Simplify outlines: straight segments replace stretches that stay within ``tolerance`` pixels of them."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
@@ -135,7 +135,10 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """Return the stations of outlines, and which are contacts; a ring with contacts starts at one."""
+    """Return the stations of outlines (corners, middles of staircase steps), and which of them are contacts.
+
+    A contact is a corner where two free pixels touch only diagonally. A ring that has contacts starts at its first.
+    """
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -172,7 +175,7 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
-    """Return the farthest station ahead that a link from each station may go to, near all corners between.
+    """Return the farthest station ahead to which a straight link from each may go, near all corners between.
 
     All stations advance together. The corners passed narrow the possible directions of a link to a wedge around the
     first corner beyond the tolerance. A link must also be as long as the distance of the farthest of these corners.
@@ -212,7 +215,7 @@ def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.
 
 
 def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
-    """Return which links deviate from the exact outline and meet or come near another link, or surround a ring."""
+    """Return which straight links leave the exact outline and come near another link, or cut off another ring."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
@@ -223,7 +226,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
-    """Return which links come nearer than the clearance to another one, beyond a common end if there is one."""
+    """Return which segments come within ``CLEARANCE`` pixels of another one; common ends alone do not count."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
@@ -241,7 +244,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 def _surrounding(
     stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
 ) -> Bool[np.ndarray, "m"]:
-    """Return which links have another ring between them and the outline that they replace."""
+    """Return which straight links have another ring between themselves and the outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -283,7 +286,7 @@ def placed_region(
 def rounded_one_by_one(region: Any, grid: float) -> Any:
     """Round each vertex of a placed region to a grid, faster than ``shapely.set_precision``.
 
-    Unlike that, it assumes that no edges meet after rounding: they keep a quarter of a pixel from one another.
+    It assumes that no edges meet after rounding, since they keep a quarter of a pixel from one another.
     """
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
@@ -318,7 +321,7 @@ def as_mask(free: ArrayLike) -> Mask:
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
-    """Return the free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest."""
+    """Return the simplified free pixels as a valid Shapely MultiPolygon, in units of pixels, the first row lowest."""
     outlines = pixel_rings(free)
     # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)
@@ -339,7 +342,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Remove blocked, then free components of at most ``num_pixels`` pixels; return the grid and their number."""
+    """Remove blocked, then free components of at most ``num_pixels`` pixels; return grid and component count."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
@@ -357,7 +360,7 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
-    """Return the rings as Shapely rings, cut where one touches itself, and the original ring of each."""
+    """Return the rings as Shapely rings, split where a ring touches itself, and the original ring of each."""
     order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
     loop = ring.copy()
     num_loops = len(rings.start) - 1
@@ -375,7 +378,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
-    """Split a ring into loops, as indices of its points, wherever it returns to a contact."""
+    """Split a ring wherever it returns to a contact; return each loop as indices of the ring's points."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

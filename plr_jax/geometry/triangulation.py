@@ -68,7 +68,7 @@ _BITS = 46  # bits of integer coordinates: they resolve the grid to which a work
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Points of the grid, a triangle that contains each, and whether the point lies on each side of that triangle."""
+    """Rounded points, a triangle that contains each, and whether the point lies on each side of that triangle."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]
@@ -97,7 +97,7 @@ class Triangulation:
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, "edges"]:
-        """The half-edge along each edge of the boundary."""
+        """Index of the half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -105,7 +105,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """A point locator, a grid of about as many cells as triangles; cells are grown by the tolerance."""
+        """A point locator: a grid of about as many cells as triangles; cells are grown by the tolerance."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -126,12 +126,12 @@ class Triangulation:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Whether each corner of a triangle is a vertex where the region touches itself."""
+        """Whether each corner of the triangles is a point contact: a vertex where the region touches itself."""
         return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
 
     @cached_property
     def grid(self) -> float:
-        """Grid spacing: all vertices, and all points when they are located, are multiples of it."""
+        """Grid spacing: vertices, and points before they are located, are rounded to multiples of it."""
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
@@ -141,9 +141,9 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Find the triangle of each grid point exactly; for its sides, 1 if the point is inside, 0 on it, -1 outside.
+        """Return each grid point's triangle, and for its three sides 1 if the point lies inside, 0 on it, -1 outside.
 
-        The walk starts at ``triangle`` if that is given. A point outside the region gets a triangle beside it.
+        The exact search starts at ``triangle``, if given. Points outside the region get a nearby one.
         """
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
@@ -173,7 +173,7 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within the tolerance of a point contact moves to the contact and counts as on all of its sides.
+        A point within the tolerance of a point contact moves there and counts as on all sides of its triangle.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
@@ -204,7 +204,7 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path joins each pair of points near its segment, through contacts if ``squeeze``."""
+        """Return whether a free path near the segment joins each pair, through point contacts if ``squeeze``."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)
@@ -242,12 +242,12 @@ def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
 
 
 def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the next half-edge of the same triangle."""
+    """Return the next half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
 def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the previous half-edge of the same triangle."""
+    """Return the previous half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 
 
@@ -310,7 +310,7 @@ class _Mesh:
         self.neighbor = dict(self.apex.keys())
 
     def insert(self, start: int, end: int) -> None:
-        """Insert an edge: remove the triangles that it crosses and fill the polygons on both sides."""
+        """Insert an edge: remove the triangles that it crosses, and fill the polygons on its two sides."""
         # 1. Find the triangle at the start through whose opposite edge the new edge leaves.
         right = self.neighbor[start]
         left = self.apex[start, right]
@@ -366,7 +366,7 @@ class _Mesh:
 def _inside(
     edges: Int[np.ndarray, "edges 2"], triangles: Int[np.ndarray, "triangles 3"], num_vertices: int
 ) -> tuple[Int[np.ndarray, "half_edges"], ...]:
-    """Return origin, twin and wall of the half-edges of triangles on the free side of walls."""
+    """Return ``origin``, ``twin``, ``wall`` (see :class:`Triangulation`) of triangles on the free side of walls."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
     wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)

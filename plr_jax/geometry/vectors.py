@@ -18,7 +18,7 @@ _DOUBT = 2.0**-50  # relative rounding error of a difference of two products, wi
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.ndarray, "*batch"]:
-    """Compute cross products whose sign is exact for integers of at most 45 bits times one power of two."""
+    """Return cross products, with exact signs for coordinates that are 45-bit integers times one power of two."""
     # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
@@ -30,7 +30,6 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.
 
 
 def _product_error(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Return the rounding error of ``a * b``, by Dekker's product."""
     high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
@@ -47,7 +46,7 @@ def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2
 
 
 def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """Map directions to [0, 4], increasing with the angle, at rates from half to one; the zero vector gives 0."""
+    """Map directions to [0, 4], increasing with the angle by a half to one per radian; the zero vector gives 0."""
     length = np.abs(dx) + np.abs(dy)
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
     return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
@@ -86,7 +85,7 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
+    """Return the ends of equal chords of the counterclockwise arc from one offset from a center to another."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

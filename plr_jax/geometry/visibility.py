@@ -33,7 +33,7 @@ Vectors: TypeAlias = Float[np.ndarray, "views 2"]
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points of the grid, and the sectors they look into; a point without sectors looks all around.
+    """Points, rounded to the grid, and the sectors they look into; a point without sectors looks all around.
 
     Sector ``s`` belongs to point ``owner[s]`` and opens at the boundary edge ``edge[s]``, counterclockwise. The point
     is the first vertex of that edge or lies in its interior.
@@ -67,7 +67,7 @@ class Viewpoints:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
-        """Return the other vertex of the wall at which each sector closes."""
+        """Return the index of the far vertex of the wall at which each sector closes."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
@@ -83,7 +83,7 @@ def viewpoint_at(triangulation: Triangulation, x: Float[np.ndarray, "2"]) -> Vie
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight: viewpoint, half-edge of exit, vertex in the direction of the right bound, bounds as vectors."""
+    """Cones of sight: viewpoint, exit half-edge, vertex in the direction of the right bound, bounds as vectors."""
 
     view: Int[np.ndarray, "n"]
     half_edge: Int[np.ndarray, "n"]
@@ -99,15 +99,14 @@ class _Cones:
         return _Cones(*of, self.right[:, rows], self.left[:, rows])
 
     def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
-        """Select cones with ``take``, which is faster than indexing on long rows."""
-        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)
+        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
         return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
 def triangles_within(
     triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors
 ) -> Int[np.ndarray, "2 visits"]:
-    """Return pairs of a viewpoint and a triangle of which it sees a part inside a cone, some of them repeated.
+    """Return viewpoints paired with the triangles of which they see a part inside their cones; some pairs repeat.
 
     ``right`` and ``left`` are unit vectors along the bounds of each viewpoint's cone, at most half a turn apart, or
     zero for all that the viewpoint looks into.
@@ -133,7 +132,6 @@ def triangles_within(
 def _inside(
     u: Float[np.ndarray, "2 n"], right: Float[np.ndarray, "2 n"], left: Float[np.ndarray, "2 n"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether directions lie in closed cones of less than half a turn."""
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
@@ -224,7 +222,7 @@ class VisibilityTable:
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Return whether viewpoint ``v[i]`` sees point ``x[i]`` of free space.
 
-        If the segment between them grazes several corners, the answer may be False; the last corner sees the point.
+        If the segment grazes several corners, the answer may be False; then the last of these sees the point.
         """
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
@@ -252,7 +250,7 @@ class VisibilityTable:
         x: Float[np.ndarray, "n 2"],
         key: Float[np.ndarray, "n"],
     ) -> Float[np.ndarray, "n"]:
-        """Return where points lie beside an interval's start: positive left of it, 0 on it, negative right."""
+        """Return on which side of an interval's start points lie: positive to its left, 0 on it, negative right."""
         inside = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
         side[inside] = key[inside] - self.key[row[inside]]
@@ -262,7 +260,6 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points lie in front of the edges of intervals, or on them."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
@@ -291,7 +288,7 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 def visibility_of(
     triangulation: Triangulation, views: Viewpoints
 ) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
-    """Return the visibility polygons of viewpoints, and pairs (view, visible vertex), some repeated."""
+    """Return the visibility polygons of viewpoints, and pairs of a viewpoint and a vertex it sees, some repeated."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):

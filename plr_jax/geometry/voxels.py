@@ -27,7 +27,7 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels that fill a box; ``free`` is read-only."""
+    """Voxels that fill a box; the read-only array ``free`` says which of them are free."""
 
     free: Bool[np.ndarray, "..."]
     bounds: Box
@@ -36,7 +36,7 @@ class VoxelGrid:
     def of(
         cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = range(1, _MOST_AXES + 1)
     ) -> "VoxelGrid":
-        """Check arguments of users and return the grid; ``bounds`` of None mean voxels of side 1 from 0 on."""
+        """Check arguments and return the grid; ``bounds=None``: voxels have side 1, the first with a corner at 0."""
         voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
@@ -76,25 +76,25 @@ class VoxelGrid:
 
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
-        """Coordinates of the faces along each axis, ascending, with -inf in front and inf at the end."""
+        """Coordinates of the faces along each axis, ascending, with ``-inf`` before and ``inf`` after them."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
         return [np.concatenate([[-np.inf], each, [np.inf]]) for each in inner]
 
     @cached_property
     def padded(self) -> Bool[np.ndarray, "..."]:
-        """Whether each voxel is free, by its numbers, including those outside the bounds."""
+        """``free`` with a layer of blocked voxels around it, so that voxel numbers, which start at 1, are indices."""
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """Return the lower and upper voxel number of points along each axis; they differ for a point on a face."""
+        """Return, along each axis, the least and largest number of the voxels that contain each point."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
     def numbers_along(
         self, axis: int, x: Float[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return :meth:`numbers` along one axis."""
+        """Return the least and largest number, along one axis, of the voxels that contain each coordinate."""
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]
@@ -106,11 +106,11 @@ class VoxelGrid:
         return Sums.of(~self.padded)
 
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """Count blocked voxels from ``first`` to ``last`` along every axis; ``last`` may precede ``first``."""
+        """Count blocked voxels from ``first`` to ``last`` along every axis; none if ``last`` precedes ``first``."""
         return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
-        """Shrink ranges to the smallest ones with all their free voxels, possibly empty (``last < first``)."""
+        """Shrink ranges of voxels to the smallest with the same free voxels; ``last < first`` if there are none."""
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
@@ -130,7 +130,7 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
-        """Return whether closed boxes touch edges or corners at which blocked voxels touch: no path passes."""
+        """Return whether closed boxes meet an edge or corner around which faces do not connect all free voxels."""
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
@@ -142,7 +142,7 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges, corners and so on at which voxels touch, by the axes across which they do."""
+        """Edges, corners and so on around which faces do not connect all free voxels, by the axes across them."""
         found = []
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
@@ -189,7 +189,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend sets of voxels around points to all free voxels that are connected to them through faces."""
+    """Extend each set ``live`` of the voxels around a point by all free ones that faces connect to it."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -203,7 +203,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return, for each set of voxels around a point (bits of its index), whether faces do not connect it."""
+    """Return which sets of the voxels around a point faces do not connect; the bits of an index are the members."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

@@ -57,8 +57,8 @@ class Workspace:
 
     Obstacles may overlap, touch, and leave the bounds; together they cover the interior of their union. Coordinates
     are rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls
-    and gaps thinner than a hundredth of ``tolerance`` vanish. Where several meet, those thinner than a quarter of it
-    may vanish; far from the origin, those thinner than twice that.
+    and gaps thinner than a hundredth of ``tolerance`` vanish. Where several meet, those thinner than half of it may
+    vanish; far from the origin, those thinner than twice the tolerance.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -161,7 +161,7 @@ class Workspace:
             row0: ``"bottom"`` if the first row has the lowest ``y``; ``"top"`` if the highest, as in images.
             tolerance: Largest distance, in pixels, between the simplified and the exact outline, either way. Half a
                 pixel makes inclined walls straight; 0 keeps every corner.
-            drop_specks: Blocked, then free components of at most this many pixels are removed.
+            drop_specks: Blocked components of at most this many pixels become free, then free ones become blocked.
             squeeze: As for the class.
 
         Returns:
@@ -185,7 +185,7 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """Largest distance of free points from free space: 1e-9 of the longer side, or more far from the origin."""
+        """Distance from free space up to which points are free: 1e-9 of the longer side; more far from the origin."""
         return 1e3 * rounding_of(self.bounds)  # at least 1e-12 of the largest coordinate
 
     @cached_property
@@ -199,7 +199,7 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set the triangulation, updated from the one before a change."""
+        """Set ``triangulation``, as when it was derived from that of the workspace before a change of the map."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
@@ -216,7 +216,7 @@ class Workspace:
 
     @property
     def edge_tree(self) -> shapely.STRtree:
-        """A Shapely tree of the edges of ``boundary`` as lines, in their order."""
+        """A Shapely ``STRtree`` of the edges of ``boundary`` as lines, numbered as in ``boundary.edges``."""
         return self.boundary.tree
 
     @cached_property
@@ -231,13 +231,13 @@ class Workspace:
 
         Returns:
             True in free space and on walls, to ``tolerance``; False outside the bounds and for points that are not
-            finite. A 32-bit point that only rounding put outside the bounds counts as inside, as in queries of PLRs.
+            finite. A 32-bit point that is outside the bounds only by rounding counts as inside, as for PLRs.
         """
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
 
     def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points are free, also within ``tolerance`` outside the bounds, as computed points may be."""
+        """Return whether points lie within ``tolerance`` of free space, even if just outside the bounds."""
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
@@ -303,9 +303,9 @@ class Workspace:
     def inflate(self, radius: float) -> "Workspace":
         """Return the workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
 
-        The sides of grown obstacles are exact. Their rounded corners are replaced by inscribed polygons, so distances
-        are never longer than the true ones. A path around one corner is too short by at most 0.16 % of the arc, or
-        2e-5 of the longer side of free space if that is more. Passages exactly as wide as the disc are closed.
+        Sides of grown obstacles are exact; rounded corners become inscribed polygons. So a path around one corner is
+        too short by at most 0.16 % of the arc, or 2e-5 of the longer side of free space if that is more. A straight
+        passage exactly as wide as the disc is closed; one between corners, even a little narrower, may stay open.
 
         Args:
             radius: Radius of the disc, in workspace units, at least 0.
@@ -328,13 +328,13 @@ class Workspace:
         """Return the workspace after obstacles are added and removed.
 
         Args:
-            add: Obstacles as for the class; their numbers follow those of the present ones.
-            remove: Numbers of obstacles, or rings or Shapely polygons that equal obstacles. Parts that other
+            add: Obstacles as for the class; they are appended to ``obstacles``.
+            remove: Indices in ``obstacles``, or rings or Shapely polygons that equal obstacles. Parts that other
                 obstacles cover stay blocked.
 
         Returns:
-            The workspace. Other obstacles keep their numbers: an empty polygon takes the place of a removed one.
-            Scene files leave it out.
+            The workspace. The other obstacles keep their indices: an empty polygon, which scene files leave out,
+            takes the place of a removed obstacle.
 
         Raises:
             ValueError: If an added obstacle is invalid, a removed one does not exist or is already removed, or

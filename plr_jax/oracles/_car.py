@@ -68,7 +68,7 @@ class _Car(ABC):
         """Return the length of the shortest path from each pose to the goal.
 
         Args:
-            x: Poses ``(x, y, theta)``, ``(n, 3)``; headings may include whole turns.
+            x: Poses ``(x, y, theta)``, ``(n, 3)``; headings in radians, whole turns do not matter.
 
         Returns:
             Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
@@ -111,14 +111,14 @@ class _Car(ABC):
     @staticmethod
     @abstractmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield words that start with a left turn; one of them, or of their mirror images, is a shortest path.
+        """Yield words (path types) that start with a left turn; one of them, or a mirror image, is a shortest path.
 
         ``to_left`` and ``to_right`` lead from the left circle at the beginning to the left and the right circle at
         the end; ``to_right`` has 2 added to its ``y``. ``heading`` is that at the end.
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
-        """Yield words that, read backward, lead from the poses to the goal."""
+        """Yield words (paths of one type) that, read backward, lead from the poses to the goal."""
         cosine, sine = np.cos(self.goal[2]), np.sin(self.goal[2])
         dx, dy = ((x[:, axis] - self.goal[axis]) / self.radius for axis in range(2))
         along, across = -cosine * dx - sine * dy, cosine * dy - sine * dx
@@ -135,7 +135,7 @@ class _Car(ABC):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
-        """Return the reflection of poses in the line through the goal along a direction."""
+        """Return the symmetry that reflects positions in a line through the goal and negates relative headings."""
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
@@ -167,7 +167,10 @@ class ReedsShepp(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
-        """Reflections of poses in the line along the goal's heading and in the perpendicular line."""
+        """Reflections of positions in the lines through the goal along and across its heading.
+
+        Both also negate the heading relative to the goal's.
+        """
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
@@ -187,7 +190,7 @@ def _word(letters: str, first: Batch, *middle_and_last: Batch | float) -> Word:
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words that end with a left turn; ``(x, y)`` leads from the first left circle to the last."""
+    """Yield words from a left to a left turn; ``(x, y)`` leads from the first turn's circle to the last one's."""
     q, square = _QUARTER, x * x + y * y
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
@@ -209,7 +212,7 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words that end with a right turn; ``(x, y - 2)`` leads from the first left to the last right circle."""
+    """Yield words from a left to a right turn; ``(x, y - 2)`` leads from the first turn's circle to the last's."""
     q, square = _QUARTER, x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
@@ -272,7 +275,7 @@ class Dubins(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry]:
-        """The reflection of poses in the line along the goal's heading."""
+        """The reflection of poses in the line through the goal along its heading."""
         return (self._reflection(self.goal[2]),)
 
     @staticmethod
@@ -294,7 +297,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return the segments of LSL: a first turn, a straight line at an angle, and the rest of the total turn.
+    """Return the lengths of LSL: a left turn by ``angle``, a straight line, and the rest of the total ``turn``.
 
     If a turn lacks almost nothing of a full circle, it is replaced by none, as where a line or a single turn leads to
     the goal. No other word helps there.

@@ -36,7 +36,7 @@ class Euclidean:
 
     @property
     def symmetries(self) -> tuple[Symmetry, ...]:
-        """Reflections along each axis about the goal."""
+        """Reflections about the goal, each of which flips one axis."""
         return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:

@@ -25,13 +25,13 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """Free cells joined by steps, and the distance of every cell to a goal."""
+    """A graph of free cells, joined by legal steps, and the distance of every cell to a goal."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the same graph with another goal in a free cell, ``(dim,)``, sharing the steps.
+        """Return the same graph with another goal in a free cell, ``(dim,)``; edges are not computed again.
 
         Raises:
             ValueError: If the goal is not in a free cell.
@@ -71,7 +71,7 @@ class _CellGraph(ABC):
     @property
     @abstractmethod
     def _steps(self) -> Any:
-        """Legal steps, computed once for all goals."""
+        """The legal steps between cells, computed once for all goals."""
 
     @property
     @abstractmethod
@@ -187,9 +187,8 @@ class GridGraph(_CellGraph):
         return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=2 * (self.free.size,))
 
     def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
-        """Return distances of all cells from root cells; ``inf`` for blocked cells, even from themselves."""
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
-        distances[:, ~self.free.ravel()] = np.inf
+        distances[:, ~self.free.ravel()] = np.inf  # also of blocked cells from themselves
         return distances
 
     @cached_property
@@ -250,7 +249,7 @@ class VoxelGraph(_CellGraph):
 
     @property
     def lengths(self) -> Float[np.ndarray, "x y z"]:
-        """Distance of every voxel to the goal, with a layer of blocked voxels around the grid."""
+        """Distance of every voxel to the goal, with a layer of ``inf`` around the grid."""
         return self._to_goal.reshape(self.grid.padded.shape)
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
@@ -282,7 +281,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        """Distance of every padded voxel, by Dial's buckets, which are narrower than the shortest step."""
+        """Distance of every padded voxel to the goal, by Dial's buckets, each narrower than the shortest step."""
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)
@@ -325,7 +324,7 @@ class GridField:
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
             reached. Kept as a read-only array, with ``inf`` for all of these.
-        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
 
     Raises:
         ValueError: If ``values`` is empty or contains anything but numbers of at least 0, or ``bounds`` is not a box
@@ -382,7 +381,7 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Interpolate also in cells without a value, and return whether the cell of each point has a value.
+        """Return interpolated distances, even in cells without a value, and whether each point's cell has a value.
 
         Points must lie in the box. Distances are ``inf`` where no cell around the point has a value.
         """

@@ -66,7 +66,7 @@ class PairDistances:
         return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
 
     def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
-        """Return distances from some corners to all corners, from the cache if it can hold all."""
+        """Return distances from some corners to all corners; cached if a table of all distances is small enough."""
         if len(self._graph.vertices) > self._at_once:
             return csgraph.dijkstra(self._graph.adjacency, indices=corners)
         is_known, table = self._distance_cache
@@ -90,7 +90,7 @@ class PairDistances:
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
     def __call__(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
-        """Return the distances of pairs, ``inf`` without a path, bitwise the same in both directions."""
+        """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
@@ -116,12 +116,11 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
-        """Return lower bounds of path lengths through corners: straight to each, then straight to the other point."""
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return the length of the shortest path of each pair through one corner of each of its lists."""
+        """Return, for each pair, the length of the shortest path through one corner of each of its two lists."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
@@ -149,7 +148,7 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
     def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
-        """Return the number of corners that may see each point, and the lists in ``_regions`` that have them."""
+        """Return how many corners may see each point, and the indices of the lists in ``_regions`` that hold them."""
         begins, (held, first, triangle) = (
             self._regions[0],
             triangles_at(self.workspace.triangulation, self.workspace.triangulation.place(x)),
@@ -165,7 +164,7 @@ class PairDistances:
 def _run_minima(
     values: Float[np.ndarray, "entries"], first: Int[np.ndarray, "runs_plus_one"]
 ) -> Float[np.ndarray, "runs"]:
-    """Return the minimum of each run of values, ``inf`` for an empty run."""
+    """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
     result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if some.any():
         result[some] = np.minimum.reduceat(values, first[:-1][some])

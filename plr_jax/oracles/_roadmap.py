@@ -58,7 +58,7 @@ class Metric:
 
 
 def metric_of(domain: Box, weights: ArrayLike | None) -> Metric:
-    """Return the metric of the given weights, or with weights 1; raise ``ValueError`` unless all are positive."""
+    """Return the metric with the given weights (None: 1); raise ``ValueError`` unless all are positive."""
     if weights is None:
         return Metric(domain, np.ones(domain.dim))
     weights = as_finite_point("weights", weights, domain.dim)
@@ -118,7 +118,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 
 def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
-    """Wrap the user's test: it sees only wrapped points of the domain, and its answers are checked."""
+    """Wrap a user's test: nothing outside the domain is free, periodic axes are wrapped, and answers are checked."""
     return partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
 
 
@@ -132,7 +132,7 @@ def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
 def checked_is_visible(
     metric: Metric, is_free: IsFree, is_visible: IsVisible | None, resolution: float | None
 ) -> IsVisible:
-    """Wrap the user's test of motions, checking its answers, or return one that samples motions at a resolution."""
+    """Wrap the user's test of motions, checking its answers, or return a test that samples motions."""
     if is_visible is None and resolution is not None:
         return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
     if is_visible is None or resolution is not None:
@@ -305,7 +305,7 @@ class Roadmap:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the distance of each point to the goal along the roadmap.
 
-        A point that sees no vertex within the radius tries twice, four times, ... the radius until it sees one.
+        A point without a free straight motion to a vertex within the radius tries 2, 4, ... times the radius.
 
         Args:
             x: Points, ``(n, dim)``.
@@ -345,7 +345,7 @@ class Roadmap:
         return answer, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return distances through vertices seen between two radii, and the best vertex, -1 if there is none."""
+        """Return each point's distance through the best vertex seen between two radii, and that vertex or -1."""
         places, vertices, distances = (
             self._metric.tree_coordinates(x),
             self.graph.vertices,

@@ -1,4 +1,4 @@
-"""Exact distance functions for the robots of a team, the terms of its heuristic."""
+"""Exact distance functions for the robots of a team, from which the planner's heuristic is made."""
 
 import numpy as np
 import shapely
@@ -13,7 +13,7 @@ _SLACK = 4  # multiple of the tolerance by which robots are shrunk
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return one exact distance function per robot to its goal, alone among the obstacles.
+    """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
 
     Robots of equal size share the visibility of corners.
 

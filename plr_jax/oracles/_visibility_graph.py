@@ -45,7 +45,7 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, ``(2,)``, in closed free space.
-        shared: For internal use: what the oracles of one workspace share; None: it is computed.
+        shared: For internal use: corners and what they see, shared by oracles of a workspace; None: computed.
         goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
 
     Attributes:
@@ -144,7 +144,7 @@ class VisibilityGraph:
 
     @cached_property
     def graph(self) -> Graph:
-        """The goal as vertex 0 and the corners, joined where a shortest path can turn at an end of the edge."""
+        """Goal (vertex 0) and corners; edges join visible pairs if a shortest path can turn at one of the ends."""
         edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
         return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
 
@@ -157,7 +157,7 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and the corners, as vertices of the graph: paths from points go to one of them first."""
+        """The goal and the corners, as numbered in ``graph``: shortest paths go straight to one of them first."""
         points = self._corners.corners.with_goal(self.goal).points
         # A vertex without a next one is its own parent.
         parents = np.where(self._parents < 0, np.arange(len(points)), self._parents)
@@ -169,11 +169,11 @@ class VisibilityGraph:
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return the free pieces of a box, as one cell, from which the goal can be reached, with their sources."""
+        """Return a box's free convex pieces, and the goal or corners that paths from each may go to first."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return the free pieces of several boxes, each a cell, with their sources; see :meth:`cell_sources`."""
+        """Return boxes' free convex pieces, and the goal or corners that paths from each may go to first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -187,20 +187,20 @@ class VisibilityGraph:
 
     @property
     def family(self) -> CornerVisibility:
-        """The corners and what they see, shared by the oracles that :meth:`with_goal` makes of one another."""
+        """The corners and what they see: the same object for oracles made of one another by :meth:`with_goal`."""
         return self._corners
 
     def shared_cells(
         self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
     ) -> SharedCells:
-        """Return what all oracles of the family share of some boxes: free pieces, and corners that see them."""
+        """Return what holds for any goal: convex pieces of the boxes' free space, and the corners that see each."""
         return SharedCells.of(self._corners, self.workspace.triangulation, domain, lo, hi)
 
     @staticmethod
     def family_sources(
         shared: SharedCells, fns: Sequence["VisibilityGraph"]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
-        """Return the distinct sources of boxes for several oracles, their keys, and their index by oracle and box."""
+        """Return distinct cells (boxes with sources), their hashes, and their indices (or -1) by oracle and box."""
         goals = []
         for fn in fns:
             corner, turns = fn._turns.vertex - 1, fn._turns
@@ -285,7 +285,7 @@ class VisibilityGraph:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return the distance of each point and the first vertex of its path; 0 (the goal) without a turn."""
+        """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self._corners.table.sees
@@ -320,7 +320,6 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
 
 
 def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:
-    """Compare the distances of two oracles of the same goal, triangle by triangle."""
     change = Change.between(before.workspace.boundary, after.workspace.boundary)
     old, new = before.workspace.triangulation, after.workspace.triangulation
     boxes = change.boxes(old.tolerance)
@@ -389,7 +388,6 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
 def _triangle_sources(
     oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
 ) -> TriangleSources:
-    """Return an oracle's pairs of a triangle and a source; the goal is a source of all triangles that it may see."""
     regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
     seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
     triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
