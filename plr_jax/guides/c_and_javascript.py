@@ -74,9 +74,10 @@ plr_jax.plot.page(plr, problem.workspace).save("maze.html")
 
 # Pairs
 
-The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use `pairs.to(goal)`, the
-distance to one goal. The header of a `plr_jax.GridPairs` defines `int32_t grid_steps(uint32_t from, uint32_t to)`. It
-reads tables from a separate file, which `c_header` returns beside the text.
+The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
+`pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
+`int32_t grid_steps(uint32_t from, uint32_t to)`. This function reads tables from a separate file, whose bytes are
+`header.table`.
 
 ```python
 import numpy as np

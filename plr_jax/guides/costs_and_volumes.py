@@ -32,8 +32,8 @@ A `plr_jax.CostMap` is a positive factor. A motion through `q` costs `cost_map(q
 give the reciprocal of the speed.
 
 - `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
-  `"nearest"` suits rasters whose cells are classes, such as road and river. `from_costmap` and `from_occupancy_grid` read costs of ROS, `inflated`
-  adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files of `map_server` and TIFF.
+  `"nearest"` suits rasters whose cells are classes, such as road and river. `from_costmap` and `from_occupancy_grid`
+  read costs of ROS, `inflated` adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files.
 - `plr_jax.LipschitzCost`: a function, with a bound of how fast it changes. The proof relies on that bound.
 - `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current;
   its docstring has examples.

@@ -62,7 +62,8 @@ cost of turns, so a team of robots that turn may never reach a small factor.
 
 A `plr_jax.HeuristicFn` replaces the cost-to-go along lattices: `plr_jax.zero`, `plr_jax.straight_line`, or
 `plr_jax.sum_of_distances` of one distance function for each robot. PLRs can replace slow distance functions:
-`sum_of_distances([plr.lower for plr in plrs])`. For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of one certified PLR:
+`sum_of_distances([plr.lower for plr in plrs])`. For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of one
+certified PLR:
 
 ```text
 setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(), plr))
