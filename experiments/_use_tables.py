@@ -33,8 +33,8 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         f"\nMedian (worst) of {variants} variants of each scene; door and crowd have {starts}. Paper: Putman et al. "
         "Bound: the sum of the robots' own exact distances, without turns. OMPL: the best of its planners, for the "
         f"team at once or robot by robot, until its path costs no more than ours ({starts} variants). `> t`: no such "
-        f"path within t seconds. {first} {len(race['summary'])} scenes, on which we tuned the planner, {who}; in other "
-        "tight scenes OMPL's may come first.\n"
+        f"path within t seconds. {first} {len(race['summary'])} scenes, on which we tuned the planner, {who}; in "
+        "other tight scenes OMPL's may come first.\n"
     )
 
 

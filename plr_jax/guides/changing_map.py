@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
-After a change, make three calls: one for the map, one for the oracle, one for the PLR. Each call reuses what the change
-does not affect, and returns a new object. The old objects stay valid for the old map.
+After a change, make three calls: one for the map, one for the oracle, one for the PLR. Each call reuses what the
+change does not affect, and returns a new object. The old objects stay valid for the old map.
 
 ```python
 import plr_jax

@@ -27,16 +27,16 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Options that the map was
   read with are part of its text: `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
-- `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE` is
-  a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes.
+- `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
+  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes.
 - `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
 
 # From a picture to C
 
 A scanned plan has a scale and noise. These options of `build` describe it:
 
-- `--resolution` is the side of a pixel in workspace units. `--goal` is in workspace units too. Without `--resolution`,
-  workspace units are pixels.
+- `--resolution` is the side of a pixel in workspace units. `--goal` is in workspace units too. Without
+  `--resolution`, workspace units are pixels.
 - `--drop-specks` removes obstacles and free regions of at most so many pixels.
 - `--threshold` is the lightness above which a pixel is free.
 - `--radius` is the radius of a round robot; distances are then distances of its center.

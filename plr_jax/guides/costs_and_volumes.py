@@ -41,7 +41,7 @@ give the reciprocal of the speed.
 
 ```python
 slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
-plane = plr_jax.PlaneSpace(plr_jax.scenes.maze().workspace)  # for a point; the second argument may be a DiscRobot
+plane = plr_jax.PlaneSpace(plr_jax.scenes.maze().workspace)  # a point; a second argument may be a DiscRobot
 proven = plr_jax.solve_eikonal(plane, goal=(0.06, 0.07), cost_map=slow, max_bytes=8192)
 lower, upper = proven.bounds([[0.9, 0.9]])
 print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)

@@ -23,10 +23,10 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 
 A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
-`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows obstacles.
-Polygons inscribed in the round corners replace the arcs, so distances are never longer than the true distances.
-`plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box`, of any dimension, which may be
-periodic along some axes.
+`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
+obstacles. Polygons inscribed in the round corners replace the arcs, so distances are never longer than the true
+distances. `plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box`, of any dimension, which
+may be periodic along some axes.
 
 # Oracles
 
@@ -67,7 +67,8 @@ the largest error in a cell. Leaves:
 - `"continuous"`: continuous from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and its gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: chooses one of these leaves; in case of doubt, it builds several and keeps the one with the smallest error.
+- `"best"`: chooses one of these leaves; in case of doubt, it builds several and keeps the one with the smallest
+  error.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an

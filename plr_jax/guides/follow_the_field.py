@@ -59,9 +59,9 @@ print(cones.waypoint(starts[:3]))  # also inside jit
 
 # Gradient
 
-The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1
-in other leaves. Shortest paths touch corners, so steps along the raw gradient end in walls at corners. Keep a distance
-from walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
+The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
+leaves. Shortest paths touch corners, so steps along the raw gradient end in walls at corners. Keep a distance from
+walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
 directions.
 
 ```python
@@ -72,7 +72,7 @@ print(np.einsum("ij,ij->i", toward_goal, exact).min())  # the smallest cosine of
 
 # Search with a heuristic
 
-`plr.lower`, of a certified PLR, is never above the true distance. With this heuristic, A* on a grid or a roadmap stays
-optimal if it reopens nodes. `plr_jax.ompl_objective` gives these lower bounds to planners of OMPL: see
+`plr.lower`, of a certified PLR, is never above the true distance. With this heuristic, A* on a grid or a roadmap
+stays optimal if it reopens nodes. `plr_jax.ompl_objective` gives these lower bounds to planners of OMPL: see
 `plr_jax.guides.teams`.
 """

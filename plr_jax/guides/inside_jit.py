@@ -3,8 +3,8 @@
 Choose by what is known before `jit` compiles:
 
 - The map and the goal are fixed: build a `plr_jax.PLR` before, and call it inside `jit`.
-- The map is fixed and the goal is drawn inside `jit`: build pairs with `plr_jax.construct_pairs` before. In `reset` of
-  the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
+- The map is fixed and the goal is drawn inside `jit`: build pairs with `plr_jax.construct_pairs` before. In `reset`
+  of the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
 - The map is drawn inside `jit`: call `plr_jax.grid_distance` inside `jit`.
 
 A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
@@ -48,11 +48,11 @@ print(distance.shape, cells.shape, gradient.shape)  # (4, 2) (4, 11, 11) (4, 2, 
 ```
 
 Distances are `inf` in blocked cells and where no path leads to the goal, with a gradient of 0. A field that was made
-under `vmap` must be called under `vmap`: `jax.vmap(lambda field, x: field(x))(fields, x)`. The argument `moves` selects
-the paths:
+under `vmap` must be called under `vmap`: `jax.vmap(lambda field, x: field(x))(fields, x)`. The argument `moves`
+selects the paths:
 
-- `"any-angle"` (the default): all paths that stay out of blocked cells, and do not pass between two blocked cells that
-  share only a corner.
+- `"any-angle"` (the default): all paths that stay out of blocked cells, and do not pass between two blocked cells
+  that share only a corner.
 - `4`: steps between cells with a common side.
 - `8`: also diagonal steps, if both cells beside the step are free.
 

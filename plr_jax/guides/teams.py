@@ -19,10 +19,11 @@ plr_jax.scenes.save(problem, "rooms.json")  # plr_jax.scenes.load reads it; so d
 
 # Problems
 
-A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)` if any robot can
-turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex: `plr_jax.PointRobot`
-and `plr_jax.DiscRobot` do not turn, `plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do. `plr_jax.scenes` has
-ready-made problems. Paths may touch obstacles and other robots. For a margin, plan with larger robots.
+A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)` if any robot
+can turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex:
+`plr_jax.PointRobot` and `plr_jax.DiscRobot` do not turn, `plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do.
+`plr_jax.scenes` has ready-made problems. Paths may touch obstacles and other robots. For a margin, plan with larger
+robots.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
@@ -30,8 +31,8 @@ time that this takes, at unit speed.
 
 # The planner
 
-`plr_jax.bl_plan` searches finer and finer lattices with two alternating searches, LaCAM and best-first search (BL). It
-stops after the first search that succeeds, and shortens the path. Finding no path proves nothing. There are no
+`plr_jax.bl_plan` searches finer and finer lattices with two alternating searches, LaCAM and best-first search (BL).
+It stops after the first search that succeeds, and shortens the path. Finding no path proves nothing. There are no
 dynamics. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
 
 `plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
@@ -57,13 +58,13 @@ print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(prob
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
-lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. These distances leave out the
-cost of turns, so a team of robots that turn may never reach a small factor.
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. These distances leave out
+the cost of turns, so a team of robots that turn may never reach a small factor.
 
 A `plr_jax.HeuristicFn` replaces the cost-to-go along lattices: `plr_jax.zero`, `plr_jax.straight_line`, or
 `plr_jax.sum_of_distances` of one distance function for each robot. PLRs can replace slow distance functions:
-`sum_of_distances([plr.lower for plr in plrs])`. For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of one
-certified PLR:
+`sum_of_distances([plr.lower for plr in plrs])`. For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of
+one certified PLR:
 
 ```text
 setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(), plr))
@@ -72,8 +73,8 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 # Under way
 
 `plr_jax.replan` replans robots whose goals have changed or whose paths are blocked, and robots in their way. If these
-are too many, it replans the whole team. The other robots keep their lines, but not the times at which they pass. So all
-robots must switch to the new path.
+are too many, it replans the whole team. The other robots keep their lines, but not the times at which they pass. So
+all robots must switch to the new path.
 
 ```python
 import numpy as np
