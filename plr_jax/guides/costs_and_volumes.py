@@ -45,7 +45,6 @@ plane = plr_jax.PlaneSpace(plr_jax.scenes.maze().workspace)  # a point; a second
 proven = plr_jax.solve_eikonal(plane, goal=(0.06, 0.07), cost_map=slow, max_bytes=8192)
 lower, upper = proven.bounds([[0.9, 0.9]])
 print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
-
 ```
 
 # Compare with a grid solver

@@ -36,13 +36,13 @@ It stops after the first search that succeeds, and shortens the path. Finding no
 dynamics. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
 
 `plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
-how close robots come to obstacles and to one another, and what is wrong first.
+how close robots come to obstacles and to one another, and what the first violation is.
 
 # Heuristics, bounds and better paths
 
 Without a heuristic, the planner uses each robot's cost-to-go along its lattice: the best choice for most plans. The
 lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
-better lower bound. It also rates a path that you already have:
+better lower bound, also of the cost of a path that you already have:
 
 ```python
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
@@ -58,13 +58,15 @@ print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(prob
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
-lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. These distances leave out
-the cost of turns, so a team of robots that turn may never reach a small factor.
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. The distances
+of `robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
 
-A `plr_jax.HeuristicFn` replaces the cost-to-go along lattices: `plr_jax.zero`, `plr_jax.straight_line`, or
-`plr_jax.sum_of_distances` of one distance function for each robot. PLRs can replace slow distance functions:
-`sum_of_distances([plr.lower for plr in plrs])`. For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of
-one certified PLR:
+In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,
+`plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one distance function for each robot. If the heuristic is a
+lower bound, its value at the starts also counts for `solution.lower_bound`. PLRs can replace slow distance functions:
+`sum_of_distances([plr.lower for plr in plrs])`.
+
+For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of one certified PLR:
 
 ```text
 setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(), plr))
