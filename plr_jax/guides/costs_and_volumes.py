@@ -58,7 +58,7 @@ import skfmm
 x, y = np.meshgrid(np.arange(0.00625, 6, 0.0125), np.arange(0.00625, 4, 0.0125))  # 8 nodes along a side
 nodes = np.stack([x.ravel(), y.ravel()], axis=1)
 ring = np.ma.array(np.hypot(x - 0.5, y - 2) - 0.2, mask=~space.is_free(nodes).reshape(x.shape))  # around the goal
-marched = 0.2 + np.sign(ring) * skfmm.travel_time(ring, 1 / cost(nodes).reshape(x.shape), dx=0.0125)  # cost is 1 there
+marched = 0.2 + np.sign(ring) * skfmm.travel_time(ring, 1 / cost(nodes).reshape(x.shape), dx=0.0125)  # cost 1 there
 truth = plr_jax.GridField(marched.filled(np.inf), bounds=((0, 0), (6, 4)))
 print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 ```
