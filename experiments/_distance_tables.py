@@ -65,8 +65,8 @@ def leaves(results: dict[str, Any]) -> str:
     farthest = {row["map"]: row["largest_distance"] for row in results["rows"]}
     scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
     return table + (
-        f"\n`max_bytes={results['budget']}`. In C: bytes of compiled code and tables. Errors in workspace units, "
-        f"over {results['points']:,} free points; largest distance: {scale}.\n"
+        f"\n`max_bytes={results['budget']}`. Memory: bytes once loaded. In C: bytes of code and tables. "
+        f"Errors in workspace units, over {results['points']:,} free points; largest distance: {scale}.\n"
     )
 
 

@@ -25,14 +25,16 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         }
         cells = [f"{results['paper'].get(name, {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
         table.append([name, *cells, spread(row["cost_over_bound"], ".3f"), at_least(total["same_cost"], "best")])
-    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"]) or "none"
+    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"])
+    first = f"In {sooner} of" if sooner else "In all"
+    who = "OMPL's first path came before ours" if sooner else "our first path came before OMPL's"
     variants, starts = len(results["seeds"]), len(race["seeds"])
     return markdown(table, numbers=4) + (
-        f"\nMedian (worst) of {variants} variants of each scene, {starts} of door and crowd. Paper: Putman et al. "
+        f"\nMedian (worst) of {variants} variants of each scene; door and crowd have {starts}. Paper: Putman et al. "
         "Bound: the sum of the robots' own exact distances, without turns. OMPL: the best of its planners, for the "
-        f"team at once or robot by robot, to a path that costs no more than ours ({starts} variants); `>`: none "
-        f"in this time. OMPL's first path, of any cost, comes sooner in {sooner} of {len(race['summary'])} scenes "
-        "that we tuned on; in other tight scenes it may.\n"
+        f"team at once or robot by robot, until its path costs no more than ours ({starts} variants). `> t`: no such "
+        f"path within t seconds. {first} {len(race['summary'])} scenes, on which we tuned the planner, {who}; in "
+        "other tight scenes OMPL's may come first.\n"
     )
 
 

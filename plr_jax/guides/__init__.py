@@ -2,28 +2,28 @@
 
 - `plr_jax.guides.distance_function`: store the distance to a goal in kilobytes.
 - `plr_jax.guides.any_two_points`: distances between any two points, and to many goals.
-- `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are drawn there.
+- `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are drawn inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.
 - `plr_jax.guides.costs_and_volumes`: cost maps, voxels, bodies, arms; no oracle needed.
-- `plr_jax.guides.teams`: plans for one robot or a team, and for robots under way.
+- `plr_jax.guides.teams`: plans for one robot or a team, also after changes while robots move.
 - `plr_jax.guides.follow_the_field`: paths and directions to the goal.
 - `plr_jax.guides.c_and_javascript`: queries without JAX.
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 
 In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run from top to bottom.
 
-# What is called, and how
+# Classes that are called like functions
 
-Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All others take
-points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except `plr_jax.NumpyPLR`.
+Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All other
+classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except `plr_jax.NumpyPLR`.
 
 | class | call | answer |
 | --- | --- | --- |
 | `plr_jax.PLR` | `plr(x)` | distance to the goal |
-| `plr_jax.NumpyPLR` | `f(x)` | the same, in NumPy |
+| `plr_jax.NumpyPLR` | `f(x)` | distance to the goal, in NumPy |
 | `plr_jax.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
 | `plr_jax.PairPLR`, `plr_jax.MetricPairs` | `pairs(x, y)` | distance between two points |
-| `plr_jax.GridPairs` | `pairs(x, y)` | steps between the cells of two points |
+| `plr_jax.GridPairs` | `pairs(x, y)` | length of a shortest grid path between the cells of two points |
 | `plr_jax.GridDistance` | `field(x)` | distance to the goal |
 | `plr_jax.GridDistances` | `field(x, y)` | distance between two points |
 | `plr_jax.VisibilityGraph`, `plr_jax.Roadmap`, `plr_jax.Euclidean` | `oracle(x)` | distance to the goal |
@@ -31,7 +31,7 @@ points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except `plr_
 | `plr_jax.GridField`, `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | `oracle(x)` | distance to the goal |
 | `plr_jax.NearestGoal` | `oracle(x)` | distance to the nearest goal |
 | `plr_jax.CostMap`, `plr_jax.DirectionalCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
-| `plr_jax.RasterCost`, `plr_jax.LipschitzCost` | `cost_map(q)` | the same |
+| `plr_jax.RasterCost`, `plr_jax.LipschitzCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
 | `plr_jax.HeuristicFn` | `heuristic(q)` | cost-to-go of joint configurations `(n, robots, dof)` |
 """
 

@@ -5,8 +5,8 @@
 | both points, among polygons | `plr_jax.construct_pairs` | exact but for the rounding of 32-bit floats |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
-| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as one PLR a goal |
-| the nearest of several goals | `plr_jax.NearestGoal` | as its oracles |
+| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as exact as one PLR for each goal |
+| the nearest of several goals | `plr_jax.NearestGoal` | as exact as its oracles |
 
 # Among polygons
 
@@ -25,7 +25,7 @@ lower, upper = pairs.bounds(x[:3], y[:3])  # proven
 goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
 distance = pairs(x, goals)  # takes about half the time on small maps, a fifth on large ones
 
-plr = pairs.to(y[0])  # the distance to one goal, an ordinary PLR of cones
+plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
 print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
 ```
 
@@ -55,7 +55,8 @@ assert (to_dock(positions) == graph(positions)).all()
 # Another metric
 
 `plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
-function of two batches of points. It suits smooth metrics; among obstacles it errs far more than `construct_pairs`.
+function of two batches of points. It suits smooth metrics. Among obstacles, its errors are far larger than
+those of `construct_pairs`.
 
 ```python
 def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
@@ -69,8 +70,8 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 
 # A list of goals
 
-Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, about
-as exact as those of `construct`. `plr_jax.stack` makes one function of many PLRs, a `plr_jax.PLRStack`.
+Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together,
+about as exact as the cones of `construct`. `plr_jax.stack` makes one function of many PLRs, a `plr_jax.PLRStack`.
 
 ```python
 first = plr_jax.VisibilityGraph(workspace, y[0])
@@ -85,6 +86,6 @@ print(docks(x[:3]), docks.which(x[:3]))  # distances, and which goal is nearest
 one = plr_jax.construct(docks, workspace.bounds, leaf="continuous", max_bytes=1024)
 ```
 
-A stack is fastest if all its PLRs have the same leaf model. `NearestGoal` runs on the host. Nothing can be proven of
-a PLR of a `NearestGoal`. Everything that belongs to pairs is in `plr_jax.pairs`.
+A stack is fastest if all its PLRs have one leaf model. `NearestGoal` runs on the host, and a PLR of it cannot be
+certified. All classes of pairs are in `plr_jax.pairs`.
 """

@@ -1,7 +1,8 @@
 r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
 
-All of them use the arithmetic that is part of the file format. So their answers are equal, bit for bit, to those of
-`plr.numpy()`, and to those of `plr(x)` on a CPU.
+All these readers use the arithmetic that the file format defines. So their answers are equal, bit for bit, to those
+of `plr.numpy()`, and to those of `plr(x)` on a CPU. NumPy answers batches of points. C and JavaScript answer single
+points, and C has no bounds.
 
 ```python
 from pathlib import Path
@@ -57,11 +58,12 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 # JavaScript
 
-The module imports nothing. For a PLR it exports `distance(x)` and, for cones, `waypoint(x)`:
+The module imports nothing. For a PLR it exports `distance(x)`; for cones also `waypoint(x)`; for a certified PLR also
+`bounds(x)`, which returns `[lower, upper]`:
 
 ```js
-import { distance, waypoint } from "./maze.mjs";
-console.log(distance([0.93, 0.95]), waypoint([0.93, 0.95]));
+import { bounds, distance, waypoint } from "./maze.mjs";
+console.log(distance([0.93, 0.95]), bounds([0.93, 0.95]), waypoint([0.93, 0.95]));
 ```
 
 `plr_jax.plot.page` writes a complete page for a browser, which shows the distance and loads nothing:
@@ -72,9 +74,10 @@ plr_jax.plot.page(plr, problem.workspace).save("maze.html")
 
 # Pairs
 
-The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. For C, take the
-distance to one goal. The header of a `plr_jax.GridPairs` defines `int32_t grid_steps(uint32_t from, uint32_t to)`. It
-reads tables from a file of their own, which `c_header` returns beside the text.
+The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
+`pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
+`int32_t grid_steps(uint32_t from, uint32_t to)`. This function reads tables from a separate file, whose bytes are
+`header.table`.
 
 ```python
 import numpy as np

@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
-Three calls follow a change: one for the map, one for the oracle, one for the PLR. Each reuses what the change does
-not touch, and returns a new object; the old ones stay valid for the old map.
+After a change, make three calls: one for the map, one for the oracle, one for the PLR. Each call reuses what the
+change does not affect, and returns a new object. The old objects stay valid for the old map.
 
 ```python
 import plr_jax
@@ -25,14 +25,15 @@ plr_opened = plr_closed.updated(oracle_closed.with_workspace(opened))
 
 # The map
 
-`workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles as the class does. Name what
-is to be removed by its index in `workspace.obstacles`, or give the obstacle itself. All other obstacles keep their
-index: an empty polygon takes the place of a removed one. What another obstacle covers stays blocked.
+`workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles as the class does. To
+remove an obstacle, give its index in `workspace.obstacles`, or the obstacle itself. All other obstacles keep their
+index: an empty polygon replaces a removed obstacle. Points that another obstacle covers stay blocked.
 
 # The oracle
 
-`oracle.with_workspace(workspace)` of a `plr_jax.VisibilityGraph` finds visibility again only near the change. Its
-distances equal those of a new oracle, up to rounding. For another goal of the same map, use `oracle.with_goal(goal)`.
+`oracle.with_workspace(workspace)` of a `plr_jax.VisibilityGraph` recomputes only the visibility that the change
+affects. Its distances equal those of a new oracle, up to rounding. For another goal on an unchanged map, use
+`oracle.with_goal(goal)`.
 
 # The PLR
 
@@ -43,8 +44,8 @@ distances equal those of a new oracle, up to rounding. For another goal of the s
 - The PLR still knows the oracle it was built from. A PLR from a file does not: call
   `plr.updated(new_oracle, old_oracle)`.
 
-The new PLR keeps the byte budget, has a proof of its own, and errs about as much as one that is built from nothing.
-`max_bytes` sets another budget. The first update of a PLR takes longer than later ones.
+The new PLR keeps the byte budget and has its own proof. Its errors are about as large as those of a PLR that is built
+for the new map. `max_bytes` sets another budget. The first update of a PLR takes longer than later ones.
 
 ```python
 plr_jax.save(plr, "maze.plr")
@@ -53,7 +54,7 @@ same = loaded.updated(oracle_closed, oracle)
 print(same.num_bytes, same.max_error)
 ```
 
-# If nothing else changes often
+# For other changes
 
 - Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
   `plr_jax.guides.any_two_points`.

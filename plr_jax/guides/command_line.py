@@ -1,7 +1,7 @@
 """Guide: build, query, view and export distance functions, and plan, with the command `plr-jax`.
 
-`plr-jax --help` lists the commands, and `plr-jax build --help` the options of one. Without the script on the `PATH`,
-use `python -m plr_jax`.
+`plr-jax --help` lists the commands, and `plr-jax build --help` lists the options of `build`. If the script is not on
+the `PATH`, use `python -m plr_jax`.
 
 ```sh
 plr-jax build maze --max-bytes 8192 --output maze.plr
@@ -19,20 +19,32 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 - `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
   and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
-  JSON. A file needs `--goal X,Y`. The output has proven bounds. `--leaf best`, the default, compares leaves.
+  JSON. A file needs `--goal X,Y`. The output has proven bounds. `--leaf best`, the default, chooses a leaf model.
+  `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
-- `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` reads standard input. A point outside the
+- `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
   domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient. For pairs, lines are `x,y,x,y`.
-- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network.
+- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Options that the map was
+  read with are part of its text: `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
-- `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found.
+- `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
+  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes.
 - `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
 
 # From a picture to C
 
-A scanned plan has a scale and noise. `--resolution` is the side of a pixel in workspace units. `--drop-specks`
-removes obstacles of at most so many pixels. `--threshold` is the lightness above which a pixel is free. `--radius` is
-the radius of a round robot, for whose center the distance then is.
+A scanned plan has a scale and noise. These options of `build` describe it:
+
+- `--resolution` is the side of a pixel in workspace units. `--goal` is in workspace units too. Without
+  `--resolution`, workspace units are pixels.
+- `--drop-specks` removes obstacles and free regions of at most so many pixels.
+- `--threshold` is the lightness above which a pixel is free.
+- `--radius` is the radius of a round robot; distances are then distances of its center.
+
+Two approximations precede the proof. Polygons replace the pixels, which may move outlines by half a pixel. With
+`--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven error is the
+error on the resulting map, not on the picture. The domain of the file is the part of the picture that contains free
+space.
 
 ```python
 import numpy as np
@@ -48,6 +60,6 @@ plr-jax build scan.png --goal 0.5,0.5 --resolution 0.05 --radius 0.1 --max-bytes
 plr-jax export scan.plr --c --output scan.h
 ```
 
-In Python, `plr_jax.scenes.read_workspace("scan.png", resolution=0.05)` reads the same map. The origin is the lower
-left corner of the picture.
+In Python, `plr_jax.scenes.read_workspace("scan.png", resolution=0.05)` reads an equal map. The origin is the
+lower left corner of the picture, and `y` points up.
 """

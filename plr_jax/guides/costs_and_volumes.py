@@ -11,47 +11,56 @@ values = np.ones((40, 60))  # cost per unit of length, values[row, column]; row 
 values[10:30, 20:40] = 3  # a swamp: each unit of length costs 3
 values[15:25, 45:50] = np.inf  # blocked
 cost = plr_jax.RasterCost(values, bounds=((0, 0), (6, 4)))
-plr = plr_jax.solve_eikonal(cost.space(radius=0.1), goal=(0.5, 2), cost_map=cost, certified=False)
+space, goal = cost.space(radius=0.1), (0.5, 2)
+plr = plr_jax.solve_eikonal(space, goal, cost_map=cost, certified=False)
 print(cost([[3, 2]]), plr([[5.5, 2]]))  # the cost per unit of length there; the cost of the best path
+
+descent = plr_jax.descend(plr, space, [(5.5, 2)], goal, cost_map=cost)
+print(descent.paths[0], descent.costs)  # a path that follows the PLR, and its cost
+plr_jax.plot.plot_contours(plr, space=space, goal=goal)
+plr_jax.save(plr, "swamp.plr")
 ```
 
-- `certified=False` gives an estimate, in about a second; in up to three dimensions.
+- `certified=False` gives an estimate, in about a second; in up to three dimensions. Follow this estimate for paths.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
-  no path through proven free cells was found. Limits: `max_leaves`, `max_bytes`, `tolerance`.
+  no path through proven free cells was found, mostly beside obstacles: give more leaves.
+- `max_bytes` limits the file. Other limits are `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs
 
 A `plr_jax.CostMap` is a positive factor. A motion through `q` costs `cost_map(q)` times its length. For travel times,
 give the reciprocal of the speed.
 
-- `plr_jax.RasterCost`: a raster of factors. `from_costmap` and `from_occupancy_grid` read costs of ROS, `inflated`
-  adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files of `map_server` and TIFF.
+- `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
+  `"nearest"` suits rasters whose cells are classes, such as road and river. `from_costmap` and `from_occupancy_grid`
+  read costs of ROS, `inflated` adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files.
 - `plr_jax.LipschitzCost`: a function, with a bound of how fast it changes. The proof relies on that bound.
-- `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current.
+- `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current;
+  its docstring has examples.
 - `plr_jax.MotionCost`: the length itself, for example with a weight for turns. Every space has one.
 
 ```python
-workspace = plr_jax.scenes.maze().workspace
 slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
-space = plr_jax.PlaneSpace(workspace)  # a point; or PlaneSpace(workspace, DiscRobot(0.02))
-plr = plr_jax.solve_eikonal(space, goal=(0.06, 0.07), cost_map=slow, max_leaves=500)
-lower, upper = plr.bounds([[0.9, 0.9]])
-print(slow([[0.5, 0.5]]), lower, plr([[0.9, 0.9]]), upper)
+plane = plr_jax.PlaneSpace(plr_jax.scenes.maze().workspace)  # a point; a second argument may be a DiscRobot
+proven = plr_jax.solve_eikonal(plane, goal=(0.06, 0.07), cost_map=slow, max_bytes=8192)
+lower, upper = proven.bounds([[0.9, 0.9]])
+print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
+```
 
+# Compare with a grid solver
 
-class Climb:  # a DirectionalCost: length, and 1 more for each unit of height, on a slope of 0.2 along x
-    def __call__(self, q):
-        return np.full(len(q), 1.2)
+The truth is the integral of `cost(q)` along the best path. So a grid solver needs `cost` at its nodes, not `values`,
+with at least 8 nodes along a side of a cell. A `plr_jax.GridField` makes an oracle of the result.
 
-    def bounds(self, lo, hi):
-        return np.ones(len(lo)), np.full(len(lo), 1.2)
+```python
+import skfmm
 
-    def pulls(self, lo, hi):
-        uphill = np.tile([0.2, 0.0], (len(lo), 1))
-        return np.zeros_like(uphill), uphill, np.ones(len(lo)), np.ones(len(lo))
-
-
-climb = plr_jax.solve_eikonal(space, goal=(0.06, 0.07), cost_map=Climb(), max_leaves=500)
+x, y = np.meshgrid(np.arange(0.00625, 6, 0.0125), np.arange(0.00625, 4, 0.0125))  # 8 nodes along a side
+nodes = np.stack([x.ravel(), y.ravel()], axis=1)
+ring = np.ma.array(np.hypot(x - 0.5, y - 2) - 0.2, mask=~space.is_free(nodes).reshape(x.shape))  # around the goal
+marched = 0.2 + np.sign(ring) * skfmm.travel_time(ring, 1 / cost(nodes).reshape(x.shape), dx=0.0125)  # cost 1 there
+truth = plr_jax.GridField(marched.filled(np.inf), bounds=((0, 0), (6, 4)))
+print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 ```
 
 # Volumes
@@ -63,7 +72,7 @@ free = np.ones((12, 12, 8), bool)
 free[6, :9] = False
 space = plr_jax.VoxelSpace(free, radius=0.4)  # a ball; radius 0 is a point
 plr = plr_jax.solve_eikonal(space, goal=(2, 2, 2), max_leaves=300, certified=False)
-graph = plr_jax.VoxelGraph(free, goal=(2.5, 2.5, 2.5), moves=26)  # exact lengths from voxel to voxel
+graph = plr_jax.VoxelGraph(free, goal=(2.5, 2.5, 2.5), moves=26)  # lengths from voxel to voxel
 print(plr([[10.5, 2.5, 2.5]]), graph([[10.5, 2.5, 2.5]]))
 ```
 
@@ -81,10 +90,8 @@ moves = plr_jax.solve_eikonal(body, goal=(0.6, 0.5, 0), max_leaves=500, certifie
 arm = plr_jax.PlanarArm(hall, lengths=(0.8, 0.6), base=(0.9, 1.5), width=0.05)
 turns = plr_jax.solve_eikonal(arm, goal=(0, 0.5), max_leaves=500)
 
-centers, radii = np.array([[1, 1, 1], [3, 2, 2]]), np.array([0.8, 0.9])
-
-def clearance(q):  # of a ball of radius 0.2 among two spheres
-    return (np.linalg.norm(q[:, None] - centers, axis=2) - radii).min(axis=1) - 0.2
+def clearance(q):  # of a ball of radius 0.2 beside a sphere of radius 0.8
+    return np.linalg.norm(q - (2, 1, 1), axis=1) - 1
 
 ball = plr_jax.ClearanceSpace(((0, 0, 0), (4, 3, 3)), clearance, lipschitz=1)
 flight = plr_jax.solve_eikonal(ball, goal=(0.2, 2.5, 2.5), max_leaves=2000)

@@ -2,7 +2,7 @@
 
 There are three steps: describe the map, choose an *oracle* (a function that computes the distance to the goal), and
 compress the oracle into a *piecewise linear regression*, a `plr_jax.PLR`. A PLR halves a box again and again. Each
-final cell, a *leaf*, holds a small function that approximates the distance.
+final cell, a *leaf*, approximates the distance by a simple function.
 
 ```python
 import plr_jax
@@ -23,14 +23,16 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 
 A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
-`Workspace.from_polygons(parts)` free space. For a disc, use `workspace.inflate(radius)`. Its rounded corners are
-inscribed polygons, so distances are never longer than the true ones. `plr_jax.scenes` also has ready-made maps.
-The domain of a PLR is a `plr_jax.Box`, of any dimension, which may be periodic along some axes.
+`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
+obstacles. Polygons inscribed in the round corners replace the arcs, so distances are never longer than the true
+distances. `plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box`, of any dimension, which
+may be periodic along some axes.
 
 # Oracles
 
 A `plr_jax.DistanceFn` is any function from points `(n, dim)` to distances `(n,)`, with `inf` where the goal cannot be
-reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`. A PLR can.
+reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`. A PLR
+can be called inside `jit`.
 
 | oracle | distance |
 | --- | --- |
@@ -60,23 +62,25 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 `plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
 the largest error in a cell. Leaves:
 
-- `"cone"`: the distance by way of one corner. Exact in most cells, 7 bytes for each corner used, polygons only.
-- `"continuous"`: does not jump where a path can cross from one cell to the next; in up to 6 dimensions.
+- `"cone"`: the distance by way of one obstacle corner, exact in most cells. Only among polygons. In the file, each
+  corner used takes about 7 bytes.
+- `"continuous"`: continuous from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and its gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: builds several of these and keeps the one of least error. Use it for noisy scans with many corners.
+- `"best"`: chooses one of these leaves; in case of doubt, it builds several and keeps the one with the smallest
+  error.
 
-`certified=True` proves the largest error, `plr.max_error`, for any leaf if the oracle is a `VisibilityGraph`.
-`certified="leaves"` proves bounds for each leaf, at 2 bytes a leaf. `plr_jax.certify` does so for an existing PLR.
-`plr.lower` is a distance function that is never above the truth, so it is an admissible heuristic. It jumps between
-leaves, so it is not consistent: A* must reopen nodes.
+If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
+`certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
+existing PLR. `plr.lower` is a distance function that is never above the true distance, so it is an admissible
+heuristic. It jumps between leaves, so it is not consistent: A* must reopen nodes.
 
 Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 
 # Files and queries
 
 `plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
-`grad`. A PLR does not store walls, so a point in a wall also gets a number. `outside="clamp"` extends a PLR beyond
+`grad`. A PLR does not store walls, so a point in a wall may get a number. `outside="clamp"` extends a PLR beyond
 its domain. Far from the origin, as in UTM coordinates, 32-bit points are too coarse: give NumPy's 64-bit points,
 outside `jit`.
 

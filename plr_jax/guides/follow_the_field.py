@@ -3,7 +3,7 @@
 | you have | use | result |
 | --- | --- | --- |
 | a field and the map | `plr_jax.descend` | paths that never cross a wall |
-| a PLR of cones, no map | `plr_jax.trace` | paths read from the file; a first leg may cut a corner |
+| a PLR of cones, no map | `plr_jax.trace` | paths read from the file; the first segment may cut a corner |
 | a PLR of cones, one step at a time | `plr.waypoint(x)` | the point to go to next |
 | a PLR, inside `jit` | `-jax.grad(plr)(x)` | a direction, which leads into walls at corners |
 | an exact oracle | `oracle.shortest_path(x)` | the exact path from one point |
@@ -31,7 +31,7 @@ assert all(status is plr_jax.DescentStatus.REACHED for status in descent.status)
 ```
 
 The result is a `plr_jax.Descent`; each `plr_jax.DescentStatus` says how one descent ended. In a configuration space,
-or with a `cost_map`, `descend` looks ahead by finite steps instead, and can get stuck. With a cost map, each start
+or with a `cost_map`, `descend` takes finite steps instead, and can get stuck. With a cost map, each start
 takes a few tenths of a second.
 
 ```python
@@ -46,7 +46,7 @@ print(descent.costs, costs(starts[:2]))
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
 from the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace
-to have every leg tested.
+to have every segment tested.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
@@ -59,18 +59,20 @@ print(cones.waypoint(starts[:3]))  # also inside jit
 
 # Gradient
 
-The gradient of a PLR points away from the goal. It has length 1 where the leaf is a cone, and about 1 in others.
-Shortest paths touch corners, so steps along the raw gradient end in walls there: keep a distance from walls, for
-example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` gives exact directions.
+The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
+leaves. Shortest paths touch corners, so steps along the raw gradient end in walls at corners. Keep a distance from
+walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
+directions.
 
 ```python
 toward_goal = -jax.vmap(jax.grad(cones))(starts)
 exact = oracle.directions(starts)
-print(np.einsum("ij,ij->i", toward_goal, exact).min())  # cosine of the angle between the two
+print(np.einsum("ij,ij->i", toward_goal, exact).min())  # the smallest cosine of an angle between the two directions
 ```
 
 # Search with a heuristic
 
-`plr.lower`, of a certified PLR, is never above the truth. With it, A* on a grid or a roadmap stays optimal if it
-reopens nodes. `plr_jax.ompl_objective` gives the same bounds to planners of OMPL: see `plr_jax.guides.teams`.
+`plr.lower`, of a certified PLR, is never above the true distance. With this heuristic, A* on a grid or a roadmap
+stays optimal if it reopens nodes. `plr_jax.ompl_objective` gives these lower bounds to planners of OMPL: see
+`plr_jax.guides.teams`.
 """

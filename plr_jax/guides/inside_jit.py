@@ -1,11 +1,11 @@
-"""Guide: compute distances inside `jit`, also on maps that are drawn there.
+"""Guide: compute distances inside `jit`, also on maps that are drawn inside `jit`.
 
 Choose by what is known before `jit` compiles:
 
-- The map and the goal are fixed: build a `plr_jax.PLR` outside, and call it inside.
-- The map is fixed and the goal is drawn inside: build `plr_jax.construct_pairs` outside. In `reset`, store
-  `pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
-- The map is drawn inside: call `plr_jax.grid_distance` inside.
+- The map and the goal are fixed: build a `plr_jax.PLR` before, and call it inside `jit`.
+- The map is fixed and the goal is drawn inside `jit`: build pairs with `plr_jax.construct_pairs` before. In `reset`
+  of the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
+- The map is drawn inside `jit`: call `plr_jax.grid_distance` inside `jit`.
 
 A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
 arguments.
@@ -23,7 +23,7 @@ plr = plr_jax.construct(plr_jax.VisibilityGraph(workspace, goal), workspace.boun
 
 @jax.jit
 def reward(x, next_x):
-    return plr(x) - plr(next_x)  # how much closer the step leads
+    return plr(x) - plr(next_x)  # the step reduces the distance by this much
 
 x = jnp.array(workspace.sample_free(100, seed=0), jnp.float32)
 print(reward(x, x + 0.01).shape)
@@ -47,10 +47,12 @@ distance, cells, gradient, is_complete = jax.vmap(rewards)(jax.random.split(jax.
 print(distance.shape, cells.shape, gradient.shape)  # (4, 2) (4, 11, 11) (4, 2, 2)
 ```
 
-Distances are `inf` in blocked cells and where no path leads, with a gradient of 0. The argument `moves` selects the
-paths:
+Distances are `inf` in blocked cells and where no path leads to the goal, with a gradient of 0. A field that was made
+under `vmap` must be called under `vmap`: `jax.vmap(lambda field, x: field(x))(fields, x)`. The argument `moves`
+selects the paths:
 
-- `"any-angle"` (the default): all paths that stay out of blocked cells.
+- `"any-angle"` (the default): all paths that stay out of blocked cells, and do not pass between two blocked cells
+  that share only a corner.
 - `4`: steps between cells with a common side.
 - `8`: also diagonal steps, if both cells beside the step are free.
 
@@ -62,17 +64,33 @@ between = plr_jax.grid_distance(free, None, moves=8)
 print(between(jnp.array([1.5, 1.5]), jnp.array([[1.5, 1.5], [1.5, 9.5]])))
 ```
 
-# What it costs
+# How many corners
 
-- Any-angle paths bend at corners of blocked cells. Time and memory grow with the square of `max_corners`, the number
-  of corners for which there is room. By default there is room for all corners up to 17 x 17 cells, else for half as
-  many as the cells have. If your maps have few corners, give a smaller number: mazes become several times faster. If
-  a map has more corners than `max_corners`, its answers are NaN and `field.is_complete` is false.
-- `grid_distance` computes the field once for each map and goal. Keep the field in the environment's state, from
-  `reset` on; do not compute it in `step`.
-- Environments that reset themselves inside `step`, under `vmap`, compute both branches of `lax.cond`. So they compute
-  a field at every step. Draw a pool of maps with their fields before, and let a reset pick one.
+Any-angle paths bend at corners of blocked cells. Time and memory grow with the square of `max_corners`, the largest
+number of corners of a map. The default allows all corners of up to 17 x 17 cells, and half of the corners of larger
+grids. With a smaller number, mazes become several times faster. If a map has more corners, its distances are NaN and
+`field.is_complete` is false. So double a small number until a sample of your maps is complete:
 
-Oracles such as `plr_jax.VisibilityGraph` run on the host, so they cannot be called inside `jit`.
-Notebook 5 of the repository shapes rewards with `grid_distance`.
+```python
+maps = jax.random.bernoulli(jax.random.key(1), 0.9, (1000, 11, 11))
+max_corners = 8
+while not jax.vmap(
+    lambda free: plr_jax.grid_distance(free, jnp.array([1.5, 1.5]), max_corners=max_corners).is_complete
+)(maps).all():
+    max_corners *= 2
+print(max_corners)
+```
+
+# In an environment
+
+- Compute the field in `reset`, and keep it in the environment's state. Keep the last distance there as well: then a
+  step computes only the distance of the new point.
+- Let the motion rule forbid what the distance forbids: blocked cells, and steps between two blocked cells that share
+  only a corner. Otherwise an agent reaches points without a path to the goal, and rewards are `inf` or NaN.
+- If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
+  Draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states in
+  each step outside of `vmap`, and replace some of the pool.
+
+Oracles such as `plr_jax.VisibilityGraph` run on the host, so they cannot be called inside `jit`. Notebook 5 of the
+repository shapes rewards with `grid_distance`.
 """

@@ -11,16 +11,19 @@ solution = plr_jax.bl_plan(problem)
 print(solution.status, solution.cost, solution.factor)  # factor: a proven limit of cost / optimal cost
 report = plr_jax.validate(problem, solution.path)
 assert report.valid, report.message
-print(solution.path.shape, solution.path_at(1.5))  # (steps, robots, dof); where all robots are at time 1.5
-solution.save("path.json")  # plr_jax.Solution.load reads it
-plr_jax.plot.animate(problem, solution.path).save("path.html")
+print(solution.path.shape, solution.path_at(1.5))  # (steps, robots, dof); positions of all robots at time 1.5
+solution.save("path.json")  # plr_jax.Solution.load("path.json") reads it
+plr_jax.plot.animate(problem, solution.path).save("path.html")  # or "path.gif"
+plr_jax.scenes.save(problem, "rooms.json")  # plr_jax.scenes.load reads it; so does `plr-jax plan rooms.json`
 ```
 
 # Problems
 
-A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)` for all robots
-if any of them can turn. A `plr_jax.Robot` is convex: `plr_jax.PointRobot` and `plr_jax.DiscRobot` do not turn,
-`plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do. `plr_jax.scenes` has ready-made problems.
+A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)` if any robot
+can turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex:
+`plr_jax.PointRobot` and `plr_jax.DiscRobot` do not turn, `plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do.
+`plr_jax.scenes` has ready-made problems. Paths may touch obstacles and other robots. For a margin, plan with larger
+robots.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
@@ -28,33 +31,41 @@ time that this takes, at unit speed.
 
 # The planner
 
-`plr_jax.bl_plan` searches lattices of growing fineness with two searches in turn, LaCAM and best-first search (BL).
-It returns the first path that it finds, shortened. Finding no path proves nothing. There are no dynamics.
-A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
+`plr_jax.bl_plan` searches finer and finer lattices with two alternating searches, LaCAM and best-first search (BL).
+It stops after the first search that succeeds, and shortens the path. Finding no path proves nothing. There are no
+dynamics. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
 
 `plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
-how close robots come to obstacles and to one another, and what is wrong first.
+how close robots come to obstacles and to one another, and what the first violation is.
 
 # Heuristics, bounds and better paths
 
-Without a heuristic, the planner uses the cost along each robot's lattice, the best choice if you only need a plan. A
-`plr_jax.HeuristicFn` replaces it: `plr_jax.zero`, `plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one
-distance function for each robot. A heuristic that is a lower bound also raises `solution.lower_bound`, which
-otherwise is the length of straight lines. With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the
-path until it costs at most 1.05 times the lower bound, or until `time_limit` seconds have passed.
+Without a heuristic, the planner uses each robot's cost-to-go along its lattice: the best choice for most plans. The
+lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
+better lower bound, also of the cost of a path that you already have:
 
 ```python
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
 heuristic = plr_jax.sum_of_distances(exact)
-better = plr_jax.bl_plan(problem, heuristic, plr_jax.BLOptions(cost_factor=1.05, time_limit=10))
-print(solution.lower_bound, better.lower_bound, better.factor)
-print(better.status is plr_jax.Status.SOLVED, better.stats.num_nodes, plr_jax.path_cost(problem, better.path))
-
 starts = problem.starts[None]  # one joint configuration, (1, robots, dof)
-print(plr_jax.zero()(starts), plr_jax.straight_line(problem)(starts), heuristic(starts))
+bound = float(heuristic(starts)[0])
+print(solution.lower_bound, bound, solution.cost / bound)
+
+options = plr_jax.BLOptions(lower_bound=bound, cost_factor=1.05, time_limit=10)
+better = plr_jax.bl_plan(problem, options=options)
+print(better.status is plr_jax.Status.SOLVED, better.factor, plr_jax.path_cost(problem, better.path))
+print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(problem)(starts))
 ```
 
-PLRs serve in place of slow distance functions: `sum_of_distances([plr.lower for plr in plrs])`.
+With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. The distances
+of `robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
+
+In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,
+`plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one distance function for each robot. If the heuristic is a
+lower bound, its value at the starts also counts for `solution.lower_bound`. PLRs can replace slow distance functions:
+`sum_of_distances([plr.lower for plr in plrs])`.
+
 For planners of OMPL, `plr_jax.ompl_objective` makes a heuristic of one certified PLR:
 
 ```text
@@ -63,16 +74,24 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 
 # Under way
 
-`plr_jax.replan` keeps the motions of a solution as far as they still lead to the goals. It plans again only for
-robots whose goal has changed, or that a new wall or a broken robot stops.
+`plr_jax.replan` replans robots whose goals have changed or whose paths are blocked, and robots in their way. If these
+are too many, it replans the whole team. The other robots keep their lines, but not the times at which they pass. So
+all robots must switch to the new path.
 
 ```python
-now = plr_jax.Problem(workspace, robots, starts=solution.path_at(1.5), goals=[(8, 8), (2, 2)])
-rest = plr_jax.replan(now, solution, at=1.5)
+import numpy as np
+
+at = 1.5
+now = plr_jax.Problem(workspace, robots, starts=solution.path_at(at), goals=[(8, 8), (2, 2)])
+rest = plr_jax.replan(now, solution, at)
 assert plr_jax.validate(now, rest.path).valid
+
+before = solution.path[: np.searchsorted(solution.times, at)]
+whole = np.concatenate([before, rest.path])  # the path from the first start to the new goals
+assert plr_jax.validate(plr_jax.Problem(workspace, robots, problem.starts, now.goals), whole).valid
 ```
 
-`plr_jax.lifelong` gives each robot that arrives its next goal while the others go on. It returns a
+`plr_jax.lifelong` gives each robot that arrives its next goal, while the other robots go on. It returns a
 `plr_jax.LifelongRun`.
 
 ```python
