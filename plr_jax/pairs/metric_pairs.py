@@ -31,20 +31,16 @@ class MetricPairs:
     plr: PLR
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return approximate distances between points.
-
-        It works under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
+        """Return approximate distances; works under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
 
         Args:
-            x: Points, ``(..., dim)``, NumPy or JAX.
+            x: Points, ``(..., dim)``, NumPy or JAX, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``.
 
         Returns:
             Distances, ``(...)``, at least 0: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` outside the box and in leaves without a joined pair; NaN for NaN.
-
-        Raises:
-            ValueError: If the last axis of the points is not ``dim``.
+                They are ``inf`` outside the box and in leaves without a pair of points that a path joins, NaN for
+                NaN.
         """
         x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
@@ -64,7 +60,7 @@ class MetricPairs:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the file."""
+        """Size of the file in bytes."""
         return self.plr.num_bytes
 
 
@@ -73,8 +69,8 @@ def construct_metric_pairs(
 ) -> MetricPairs:
     """Build a PLR of any symmetric distance function of two points in a box, from samples.
 
-    It has twice as many dimensions as the box, and uses nothing but samples of the function. For distances in a
-    planar workspace use :func:`construct_pairs`, which is exact.
+    The PLR has twice as many dimensions as the box. For distances in a planar workspace use :func:`construct_pairs`,
+    which is exact.
 
     Args:
         distance_fn: Distances ``(n,)`` between points ``(n, dim)`` and ``(n, dim)``, symmetric, ``inf`` without a
@@ -109,7 +105,6 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
-    """Return whether ``x`` comes after ``y`` in lexicographic order."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

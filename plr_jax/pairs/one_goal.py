@@ -29,7 +29,8 @@ PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     """Return the PLR of cones of the distance to a goal.
 
-    Each leaf of the pairs gets the corner whose cone fits it best, and is halved where no corner fits well.
+    A cone is the distance to a source (a corner or the goal) plus the source's distance to the goal. Each leaf of the
+    pairs gets the source whose cone fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
     goal = as_finite_point("The goal", domain.settled(goal), 2)
@@ -59,9 +60,9 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
 def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
     """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
 
-    The next turn after a corner is the goal if the path there is straight, else the end of an edge to a corner nearer
-    to the goal. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf uses
-    it.
+    The next turn after a corner is the goal if the path there is straight, else a corner nearer to the goal at the
+    end of an edge. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf
+    uses it.
     """
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
@@ -80,7 +81,8 @@ def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"])
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return the source of each cell with the best fitting cone, and its mean error; -1 if none reaches the goal.
+    """Return, for each cell, the goal or corner whose cone fits best (-1 if no sample reaches the goal), and its mean
+    error.
 
     ``owner`` is the leaf of the pairs that contains the cell.
     """
@@ -101,7 +103,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves with equal sources; return the remaining leaves and their sources."""
+    """Join halves with equal sources; return the remaining leaves and the source of each."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -71,17 +71,15 @@ class PairPLR(FileBacked):
             return build_pair_tables(self.stored, self.num_bytes)
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        """Return the tables and the file as children."""
         return ((GetAttrKey("tables"), self.tables), (GetAttrKey("file"), self.file)), None
 
     @classmethod
     def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
-        """Return the PairPLR with given tables and file."""
         tables, file = children
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """Return a copy with another label; tables that are built are shared (:meth:`FileBacked.with_label`)."""
+        """Return a copy with another label (:meth:`FileBacked.with_label`) that shares tables that are built."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
@@ -104,8 +102,9 @@ class PairPLR(FileBacked):
 
         Returns:
             Distances, ``(...)``, in the precision of the points as for :func:`evaluate`; corners and the distances
-            between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for ``x
-            == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are meaningless.
+                between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for
+                ``x == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are
+                meaningless.
 
         Raises:
             ValueError: If points do not have two coordinates, are not real, or do not broadcast, or if ``outside`` is
@@ -132,21 +131,13 @@ class PairPLR(FileBacked):
         return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
-        """Prepare goals that are queried many times, for use as second points of a call.
+        """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Queries then take about half the time on small maps, a fifth on large ones. It works under ``jax.jit`` and
-        ``jax.vmap``, for example in the ``reset`` of an environment that draws its goal. Answers differ from
-        unprepared ones by rounding. They have no gradient in the goals, which have 32 bits. With ``outside="clamp"``,
-        a goal outside the domain stays outside: ``inf``. Pairs of other maps must not use these goals.
-
-        Args:
-            goals: The goals, ``(..., 2)``.
-
-        Returns:
-            The goals with their distances to all corners, ``(..., corners)``, 4 bytes per corner.
-
-        Raises:
-            ValueError: As for a call.
+        Queries then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per goal
+        and corner. It works under ``jax.jit`` and ``jax.vmap``, for example in the ``reset`` of an environment that
+        draws its goal. Answers differ from unprepared ones by rounding. They have no gradient in the goals, which
+        have 32 bits. With ``outside="clamp"``, a goal outside the domain stays outside: ``inf``. Pairs of other maps
+        must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         points = jnp.asarray(goals, jnp.float32)
@@ -155,40 +146,23 @@ class PairPLR(FileBacked):
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Return proven bounds of the distance between points of free space.
+        """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
         The proof includes the rounding of the file and of the query. It holds for points of free space, walls
-        included, but not for points that count as free only because of the workspace's tolerance.
-
-        Args:
-            x: Points, as for a call.
-            y: Points.
-
-        Returns:
-            Lower bounds, at least 0, and upper bounds, which are lengths of certainly free paths. An upper bound is
-            ``inf`` if no such path was found, as from points on a wall or within 4e-6 domain widths of one.
-
-        Raises:
-            ValueError: As for a call.
+        included, but not for points that count as free only because of the workspace's tolerance. Points are given as
+        for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of certainly
+        free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
         lower, upper = self._answered(_bounds, x, y)
         return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
-        """Return the distance to one goal as an ordinary PLR of cones.
+        """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
 
         Each leaf gets the corner that fits it best at some sample points, and is halved a few times if no corner fits
         all of it. Nothing is proven about the result: use :func:`certify`. Inside ``jit``, call the pairs with
-        ``y=goal`` instead.
-
-        Args:
-            goal: The goal, ``(2,)``, in the domain.
-
-        Returns:
-            The PLR.
-
-        Raises:
-            ValueError: If the goal is not two finite numbers, is outside the domain, or cannot be reached.
+        ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
+        reached.
         """
         return plr_to(self.stored, self, goal)
 
@@ -197,13 +171,10 @@ class PairPLR(FileBacked):
         return NumpyPairs(self.stored)
 
     def js_module(self) -> str:
-        """Return these distances as one JavaScript module that contains the file and imports nothing.
+        """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
 
         It exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the first
         turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for bit.
-
-        Returns:
-            The text of the module.
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
@@ -218,7 +189,6 @@ class PairPLR(FileBacked):
         return tuple(map(jnp.asarray, answers))
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
-        """Return points relative to the middle of the domain; NumPy points keep their precision."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -233,7 +203,7 @@ class PairPLR(FileBacked):
 
     @cached_property
     def stored(self) -> PairsFileData:
-        """The decoded contents of the file."""
+        """The decoded file."""
         return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
 
     @property
@@ -262,16 +232,16 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     """Build a PairPLR: distances between any two points of a planar workspace.
 
     The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
-    file holds free space, the joined pairs of corners, the partition and the lists. More bytes make queries faster,
-    because fewer corners must be tried; bytes are spent only as long as they do.
+    file holds free space, the pairs of corners that a shortest path may join straight, the partition and the lists.
+    More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do.
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
     - Points within 4e-6 domain widths of a wall may see past its ends: their distance may be up to 2e-5 widths too
       small.
-    - Points within 8e-6 widths of a contact, or of a wall or gap thinner than that, may get the distance of a point
-      on the other side, or one that is too small. Bounds still hold there. Lower bounds treat such walls as free
-      space, so they may be far below the distance between points on opposite sides.
+    - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
+      the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
+      such walls as free space, so they may be far below the distance between points on opposite sides.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed.
 
@@ -326,7 +296,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Return distances from points to the prepared goals with given indices, ``(*batch, 1)``."""
+    """Return distances from points to the goals that ``number``, ``(*batch, 1)``, selects from ``goals``."""
     if outside == "clamp":
         x, way = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
@@ -376,9 +346,9 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows inside the domain, their shape, and the answer that is known already.
+    """Return points as rows, moved to 0 if outside the domain, their batch shape, and answers that are known already.
 
-    The known answer is ``inf`` outside the domain, NaN for NaN, else 0.
+    Known answers are ``inf`` outside the domain and NaN for NaN; where the answer is still to find, they are 0.
     """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
@@ -396,12 +366,10 @@ def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray)
 
 
 def _floats_of(*points: Any) -> Any:
-    """Return the precision of an answer: 64 bits if a point has 64 bits, else 32."""
     return jnp.float64 if jnp.float64 in [p.dtype for p in points] else jnp.float32
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-    """Return the largest coordinates inside the domain, widened by rounding."""
     ends = tables.half + _ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
