@@ -58,7 +58,7 @@ class MeshEstimate:
     """An estimate of the cost-to-go on a mesh.
 
     Attributes:
-        corner_values: The estimate at the corners of open cells; 0 at corners of blocked cells.
+        corner_values: The estimate at the corners of cells that are not blocked; 0 at corners of blocked cells.
     """
 
     mesh: Mesh
@@ -78,12 +78,12 @@ class CostToGoField:
     """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them.
 
     Attributes:
-        program: The program for the lower bound.
+        program: The convex program for the lower bound.
         values: Its solution, 0 at the goal; slopes may be a little too large before they are rescaled.
-        paths: The paths that give the upper bound.
-        nodal_estimate: An estimate at the nodes of the mesh; ``inf`` if there is none.
+        paths: The paths from nodes to the goal that give the upper bound.
+        nodal_estimate: An estimate at the nodes (corners of cells) of the mesh; ``inf`` if there is none.
         space: The configuration space.
-        guide: The estimate at any point; None beyond three axes.
+        guide: An estimate at any point, interpolated on a grid; None beyond three axes.
     """
 
     program: SlopeProgram
@@ -95,7 +95,6 @@ class CostToGoField:
 
     @property
     def mesh(self) -> Mesh:
-        """The cells."""
         return self.program.space.mesh
 
     @cached_property
@@ -117,13 +116,13 @@ class CostToGoField:
 
     @cached_property
     def _corner_costs(self) -> CellCorners:
-        """The cost of a path from each corner of open cells; ``inf`` if there is none."""
+        """Cost of a path to the goal from each corner of cells that are not blocked; ``inf`` if there is none."""
         is_open = self.mesh.state != CellState.BLOCKED
         return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, clipped to the bounds, and extended where there is none.
+        """The estimate, clipped to the bounds; where it is unknown, nearby values are used.
 
         A ``UserWarning`` says where the estimate was outside of its bounds by more than a tenth.
         """
@@ -145,16 +144,16 @@ class CostToGoField:
 
     @property
     def mean_gap(self) -> float:
-        """Mean distance of the bounds at the corners that have both."""
+        """Mean of upper minus lower bound at the corners that have both."""
         known = np.isfinite(self._corner_costs)
         return float((self._corner_costs - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the cost-to-go minus multilinear functions over boxes in open cells.
+        """Return lower and upper bounds of the cost-to-go minus multilinear functions over boxes in open cells.
 
-        Boxes are in local coordinates of their cell, functions by their values at the boxes' corners. The bounds
-        include points that rounding may place in a box, for the function at the nearest point of the box. Upper
-        bounds are ``inf`` if no path is known from all free points.
+        Box ends are local coordinates of ``cell``, which is not blocked; functions are given by their values at the
+        boxes' ``corners``. Bounds include points that rounding may place in a box, for the function at the nearest
+        point of the box. Upper bounds are ``inf`` if no path is known from all free points.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -196,7 +195,7 @@ class CostToGoField:
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
         """Return, at the corners of boxes, linear lower bounds of the cost of straight motions to the goal.
 
-        They are tangent to the least cost of these motions at the middle of the box.
+        They are tangent to the least cost of these motions at the middle of the box; 0 if an axis is periodic.
         """
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
@@ -211,7 +210,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Path nodes, or the goal, that a free box joins to a whole cell; -1 for none."""
+        """For each cell, path nodes (or the goal) such that all straight motions to them are free; else -1."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -230,7 +229,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, and for motions to a cell from points that rounding places in it."""
+        """A margin for rounding, and for motions to a cell from points that rounding places in the cell."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -239,7 +238,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether straight motions to a corner are free from all free points that rounding places in a cell."""
+        """Whether straight motions to a corner are free from all free points that rounding places in its cell."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
@@ -279,7 +278,7 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """Return a PLR of a leaf a cell, tied across open faces; None if its file is too large."""
+    """Return a PLR with a leaf for each cell, continuous across open faces; None if its file is too large."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -294,7 +293,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Grow a partition whose file has at most ``max_bytes`` bytes."""
+    """Build a PLR of an estimate in at most ``max_bytes`` bytes, with proven bounds unless ``field`` is None."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -313,7 +312,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
-    """Add bounds to each leaf, over all cells of the mesh that meet it."""
+    """Add proven bounds to each leaf: the worst over all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself
@@ -361,9 +360,9 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return the lower bound by the straight line, for :class:`Certificate`; None if it has no such form.
+    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has no such form.
 
-    The margin covers rounding of coordinates to 32 bits, the rate that of the length.
+    The margin covers rounding of coordinates to 32 bits, the rate covers rounding of the length.
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
@@ -384,9 +383,9 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, "leaves"]:
     """Return upper bounds of the cost-to-go minus the function of each leaf, by paths from voxel to voxel.
 
-    From a point of a free voxel, a straight motion leads to the voxel's center, and 26 moves lead on to the goal.
-    These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, and for other than three
-    axes.
+    From a point of a free voxel, a straight motion leads to the voxel's center, and moves to any of 26 neighbors lead
+    on to the goal. These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, for very
+    many voxels, and for other than three axes.
     """
     grid, goal = space.grid, space.domain.at(field.paths.points[-1])
     above = np.full(len(cells), np.inf)

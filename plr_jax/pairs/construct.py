@@ -104,7 +104,7 @@ def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
     """Return the largest lattice step that keeps points distinct and moves no coordinate by more than the tolerance.
 
-    Steps are powers of two or ten. If no step fits, the finest is returned: about ``2**-24`` of the width.
+    Steps are powers of two or ten. If no step fits, return the finest: about ``2**-24`` of the width.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
@@ -124,10 +124,8 @@ _IN_VAIN = 0.1  # invisible listed corners per point, on average; queries get no
 class Lists:
     """Cells, and for each the list of the corners at which shortest paths from it may turn first.
 
-    Attributes:
-        cell: Index of the cell of each list entry, ascending.
-        corner: Corner of each list entry.
-        by_all: Whether all of the cell is known to see the corner.
+    ``cell`` (ascending) and ``corner`` belong to each list entry; ``by_all`` tells whether all of the cell is known
+    to see the corner.
     """
 
     cells: Cells
@@ -154,8 +152,8 @@ class _ListTree:
     """A partition during construction, with the corner lists of all nodes of its tree.
 
     Attributes:
-        key: Priority of halving each node, at most that of its parent.
-        parent: Parent of each node, -1 for the root.
+        key: Priority of halving each node, at most that of its parent, whose index is in ``parent`` (-1 for the
+            root).
         visible: The free convex pieces of each leaf, in the order of leaves, and the corners that each piece may see.
     """
 
@@ -318,10 +316,7 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are corners, ascending, and each workspace corner's place among them.
-
-    If a corner has several outline points, the point that sticks out into free space is chosen.
-    """
+    """Return the outline points that are corners, ascending, and each workspace corner's place among them."""
     number = {tuple(point): i for i, point in enumerate(corners.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
     order = np.argsort(~outline.is_reflex, kind="stable")

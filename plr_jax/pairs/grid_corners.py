@@ -40,10 +40,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return the length in units of a shortest path without obstacles across numbers of rows and columns, at least 0.
-
-    Numbers are NumPy or JAX. A diagonal step of a 4-connected grid counts as two straight steps.
-    """
+    """Return the length in units of a shortest path without obstacles across some rows and columns, at least 0."""
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -278,9 +275,7 @@ class CornerTable:
 class CornerLabels:
     """Distances in units from each corner to its ancestors in the elimination order, the corner itself last.
 
-    Attributes:
-        first: Index of the first ancestor of each corner, then the number of entries.
-        length: Distance to each ``ancestor``.
+    ``first`` is the index of each corner's first entry in ``ancestor`` and ``length``, the distance to that ancestor.
     """
 
     first: Int32[Array, "corners_plus_one"]
@@ -318,11 +313,7 @@ _Edges = list[dict[int, int]]
 
 
 def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
-    """Return distances between all corners of a grid, numbered in row-major order.
-
-    ``ValueError`` if path lengths exceed 30 bits, tables exceed their byte limit, or elimination would take minutes
-    because many corners lie in wide passages.
-    """
+    """Return distances between all corners of a grid, in row-major order; ``ValueError`` if there are too many."""
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
     if most < 0:
         raise ValueError(_TOO_LONG)

@@ -12,9 +12,8 @@ The file holds only the grid; everything else follows from it. All numbers are l
             above the first row all are blocked
     u32     CRC-32 of all previous bytes
 
-For C99 there is a header with the code of a query, and a file of tables that a program maps. A query is that of
-``grid_query.py`` in integers. The header holds constants of the grid. The tables follow one another in the file, each
-aligned to 64 bytes.
+C99 code is a header, with constants of the grid, that makes the queries of ``grid_query.py`` in integers. It reads a
+file of tables, one after another, each aligned to 64 bytes.
 """
 
 import re
@@ -99,11 +98,8 @@ class GridHeader:
 class DistanceToCell:
     """Distance to one cell of a grid, a `DistanceFn` made by :meth:`GridPairs.to`.
 
-    Attributes:
-        tables: Tables of all pairs of cells.
-        goal: Row and column of the goal cell.
-        from_goal: Length in units of the shortest path from the goal to each corner by way of a corner that the
-            goal's cell lists.
+    ``goal`` is the row and column of the cell. ``from_goal`` holds, for each corner of obstacles, the length in units
+    of the shortest path to it by way of a corner that the goal's cell lists.
     """
 
     tables: GridTables
@@ -126,10 +122,7 @@ class DistanceToCell:
         return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances in steps from points ``(..., 2)`` to the goal, bit for bit as :class:`GridPairs` does.
-
-        ``ValueError`` if the points have another shape.
-        """
+        """Return distances in steps from points ``(..., 2)`` to the goal, bit for bit as :class:`GridPairs` does."""
         return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
 
 
@@ -139,15 +132,12 @@ class GridPairs:
     """Lengths of shortest paths between any two cells of a grid, never above the truth.
 
     Made by :func:`construct_grid_pairs`: a pytree of arrays, which a jitted function can close over or take as an
-    argument. The file holds only the map, in one or two kilobytes for a quarter of a million cells. On loading, the
-    tables are built again, in about a second, or a few for two million cells.
+    argument. The ``file``, which :func:`save` writes, holds only the map, in one or two kilobytes for a quarter of a
+    million cells. On loading, the ``tables`` that a query reads are built again, in about a second, or a few for two
+    million cells.
 
     Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than a millionth;
     whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
-
-    Attributes:
-        tables: The tables that a query reads.
-        file: The bytes that :func:`save` writes.
     """
 
     tables: GridTables
@@ -160,16 +150,10 @@ class GridPairs:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return lengths of shortest paths between the cells of points, in steps; diagonal steps count ``sqrt(2)``.
 
-        Answers are symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
-
-        Args:
-            x: Points, ``(..., 2)``. The cell in row ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and
-                ``r <= y < r + 1``.
-            y: Points whose shape broadcasts with ``x``, else ``ValueError``.
-
-        Returns:
-            Distances, ``(...)``; ``inf`` if no path joins the cells, a cell is blocked, or a point is outside the
-                grid or NaN.
+        Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row ``r`` and column ``c``
+        has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are symmetric bit for bit,
+        and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or a point is outside the
+        grid or NaN. A function is compiled for each shape of points.
         """
         points = _as_points("x", x), _as_points("y", y)
         try:
@@ -188,22 +172,19 @@ class GridPairs:
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
-        """Return path lengths in steps to goals from all cells in squares around agents.
+        """Return path lengths in whole steps to goals from all cells in squares around agents.
 
         A function is compiled for each number of agents and radius. It works inside jitted functions.
 
         Args:
-            goals: A point in the goal cell of each agent, ``(n, 2)``.
+            goals: A point in the goal cell of each agent, ``(n, 2)``, else ``ValueError``.
             positions: A point in the cell of each agent, ``(n, 2)``.
-            radius: Cells on each side of an agent, an integer of at least 0.
+            radius: Cells on each side of an agent, an integer of at least 0, else ``ValueError``.
 
         Returns:
-            Distances, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. On 8-connected grids they
-                are rounded down to whole steps. A cell has -1 if no path leads from it to the goal, if it is blocked
-                or outside the grid, and if the agent or the goal is outside the grid or the goal is blocked.
-
-        Raises:
-            ValueError: If the points have other shapes, or the radius is not an integer of at least 0.
+            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. A cell has
+                -1 if no path leads from it to the goal, if it is blocked or outside the grid, and if the agent or the
+                goal is outside the grid or the goal is blocked.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
@@ -322,18 +303,12 @@ class GridPairs:
 
 
 def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
-    """Compute distances between all pairs of cells of a grid.
+    """Compute distances between all pairs of cells of a grid, given as a :class:`GridGraph` or its free cells.
 
-    A game map of two million cells takes some seconds and a gigabyte of memory. All distances between corners of
-    obstacles are kept if there are at most 2**14; else, as in mazes, only distances across narrow passages.
-    ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
-
-    Args:
-        graph: The grid, such as a :class:`GridGraph` with or without a goal, of at most 2**22 cells. Or an array
-            ``(rows, columns)`` of the free cells of a 4-connected grid.
-
-    Returns:
-        The distances, a pytree.
+    Free cells are an array ``(rows, columns)``; the grid is then 4-connected. Other grids are GridGraphs, with or
+    without a goal. A game map of two million cells takes some seconds and a gigabyte of memory. All distances between
+    corners of obstacles are kept if there are at most 2**14; else, as in mazes, only distances across narrow
+    passages. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
 
     Raises:
         ValueError: If ``graph`` is not a grid or has more than 2**22 cells, if paths of an 8-connected grid are

@@ -1,13 +1,11 @@
 """Distances between pairs of grid cells in JAX.
 
-Two cells that see each other are as far apart as on an empty grid. For other cells, a shortest path leads through one
-of the few corners stored for each: the distance is the least sum of two legs (from the cells to their corners, as on
-an empty grid) and the distance of the corners. Cells have up to dozens of corners in blocks of four, and all pairs of
-these would be slow. But no path through a corner is shorter than on an empty grid, so a known path rules out most
-corners:
+Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads through
+a corner stored for each: the distance is the least sum of two legs (from the cells to their corners, as on an empty
+grid) and the distance of the corners. Cells have up to dozens of corners, in blocks of four. A known path rules out
+most pairs of them, as no path through a corner is shorter than on an empty grid:
 
-1. Sort pairs of cells by their numbers of corner blocks. Find the path through the corner of each cell that an empty
-   grid would make the shortest.
+1. Sort pairs of cells by their numbers of blocks. Find the path through the corners that suit an empty grid best.
 2. Mark the blocks with corners that may give a shorter path.
 3. Sort pairs of cells by the number of pairs of marked blocks. Try these, in chunks of about equal work.
 """
@@ -53,8 +51,6 @@ class IllegalSteps:
             steps, of the grid and of its mirror image, and one counts blocked cells before each cell in its row; the
             same three follow for the transposed grid. Only cells and steps beside a free cell count.
         free: One bit for each cell in row-major order, lowest bit of a word first.
-        shape: Rows and columns of the grid.
-        connectivity: 4 or 8.
     """
 
     sums: Integer[Array, "sums"]
@@ -64,7 +60,6 @@ class IllegalSteps:
 
 
 def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
-    """Build the prefix sums of a grid."""
 
     def sums_along_rows(marks: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -147,15 +142,12 @@ GROUP = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridTables:
-    """The tables of a query: a grid, the corners that each cell lists, and the distances between corners.
+    """The tables of a query: a grid, the corners (``row``, ``column``) that each cell lists, and their distances.
 
     Attributes:
-        sight: Which cells see each other.
         group_block: Index of the first block of corners of each group of 16 cells, in row-major order.
         cell_block: Offset of the first block of each cell from that of its group, and one more at the end.
         blocks: Numbers of the corners that a cell lists, four a block; its last corner fills up its last block.
-        row: Row of each corner.
-        column: Column of each corner.
     """
 
     sight: IllegalSteps
@@ -232,7 +224,7 @@ def evaluate_pairs(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return lengths in steps of shortest paths from points' cells to ``goal``, whose row and column are given.
+    """Return lengths in steps of shortest paths from points' cells to the ``goal`` (row, column).
 
     They are ``inf`` without a path or outside the grid. ``from_goal`` is the result of :func:`corners_from`.
     """
@@ -291,7 +283,6 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"
 
 
 def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
-    """Sort pairs of cells by their work (less than 2**14), and return their indices in chunks."""
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
@@ -366,7 +357,6 @@ class _Left(NamedTuple):
         return jnp.where(number == 0, self.blocks, every)
 
     def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
-        """Return the corners of the block of the lowest bit; any corners if no bit is set."""
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
@@ -414,10 +404,7 @@ def _least_around(
     onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
 ) -> Int32[Array, "n"]:
-    """Return the least length of a path from each cell through a corner that it lists; ``FAR`` without corners.
-
-    ``onward`` returns the lengths from four corners of each cell to the end of the path.
-    """
+    """Return the least sum of a leg from each cell to a corner that it lists, and the way ``onward`` from there."""
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
@@ -440,12 +427,10 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
 def _corners_of_block(
     tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
 ) -> Int32[Array, "n 4"]:
-    """Return the corners in one block of each cell; in its last block if it has fewer."""
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
 def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
-    """Convert lengths from units to steps, never rounding up; ``inf`` without a path or outside."""
     whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
     part = rest / STRAIGHT[connectivity]
     whole = whole.astype(part.dtype)
@@ -509,7 +494,6 @@ def _lengths_of_rim(
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-        """Return place and length of the nearest known cell before each, or after it if reversed."""
 
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
             place, length, is_known = cell

@@ -41,8 +41,7 @@ class NearWalls:
     Attributes:
         ends: Both ends of the walls, list entry by list entry; one row for each coordinate.
         first: Index of the first wall of each list entry.
-        most: Largest number of walls of an entry. Queries read this many for every entry, which does no harm: all are
-            walls.
+        most: Largest number of walls of an entry. Queries read this many for every entry: more walls do no harm.
     """
 
     ends: Float[Array, "4 walls"]
@@ -165,10 +164,7 @@ def _are_near(
     walls: Float[Array, "walls 4"],
     margin: Float[Array, ""],
 ) -> Bool[Array, "pairs"]:
-    """Return whether walls are within the margin of the convex hull of an entry's box and corner.
-
-    By the separating axis theorem, two convex sets in the plane are apart only if an edge of one separates them.
-    """
+    """Return whether walls are within a margin of the convex hull of a box and a corner, by separating axes."""
     x0, y0, x1, y1, cx, cy = hulls[entry].T
     ax, ay, bx, by = walls[wall].T
     apart = (jnp.maximum(ax, bx) < jnp.minimum(x0, cx) - margin) | (

@@ -81,11 +81,7 @@ def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"])
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return, for each cell, the goal or corner whose cone fits best (-1 if no sample reaches the goal), and its mean
-    error.
-
-    ``owner`` is the leaf of the pairs that contains the cell.
-    """
+    """Return each cell's goal or corner whose cone fits best (-1 if none reaches the goal), and its mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])

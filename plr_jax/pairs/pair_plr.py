@@ -48,11 +48,7 @@ class PairPLR(FileBacked):
     """Distances between any two points of a planar workspace.
 
     Made by :func:`construct_pairs` and :func:`load`. A PairPLR is a pytree of arrays: jitted functions can close over
-    it or take it as an argument.
-
-    Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number (``padded_file`` in
-            ``plr/container.py``).
+    it or take it as an argument. Its ``file`` is padded with zeros (``padded_file`` in ``plr/container.py``).
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
@@ -95,7 +91,7 @@ class PairPLR(FileBacked):
         first turn of the path. It is zero where the distance is 0 or ``inf``.
 
         Args:
-            x: Points, ``(..., 2)``, NumPy or JAX.
+            x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
             outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
                 both ends to the domain.
@@ -105,10 +101,6 @@ class PairPLR(FileBacked):
                 between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for
                 ``x == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are
                 meaningless.
-
-        Raises:
-            ValueError: If points do not have two coordinates, are not real, or do not broadcast, or if ``outside`` is
-                unknown.
         """
         outside = as_outside(outside)
         if not isinstance(y, PreparedGoals):
@@ -233,7 +225,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
     file holds free space, the pairs of corners that a shortest path may join straight, the partition and the lists.
-    More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do.
+    More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do. If
+    interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
@@ -248,9 +241,6 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     Args:
         workspace: The free space, with at most 8,192 reflex corners.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
-
-    Returns:
-        The PairPLR. If interrupted (Ctrl-C), it has the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
         ValueError: If the workspace is not a Workspace, has too many corners or is wider than 1e18, or if free space
@@ -296,7 +286,6 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Return distances from points to the goals that ``number``, ``(*batch, 1)``, selects from ``goals``."""
     if outside == "clamp":
         x, way = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
@@ -336,7 +325,6 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """Return the nearest point of the domain and the distance to it; points that are not finite stay."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
@@ -346,10 +334,7 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows, moved to 0 if outside the domain, their batch shape, and answers that are known already.
-
-    Known answers are ``inf`` outside the domain and NaN for NaN; where the answer is still to find, they are 0.
-    """
+    """Return points as rows, their batch shape, and known answers: ``inf`` outside the domain, NaN, or else 0."""
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))

@@ -73,7 +73,7 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Return walls in 32 bits: both ends, the vector ``e`` between them, and ``turn`` (see above)."""
+    """Return walls in 32 bits, rows ``ax, ay, bx, by, ex, ey, turn``, where ``turn`` is ``ex ay - ey ax``."""
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
     return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
@@ -83,11 +83,8 @@ def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "
 class Scene:
     """Walls and corners for path search, relative to the middle of the domain.
 
-    Attributes:
-        walls: Both ends of each wall.
-        corners: The corners, then one at ``inf`` as padding.
-        moved: Largest distance of a corner from its position in the file.
-        is_certain: Whether every path found is certainly free.
+    The last corner, at ``inf``, is padding. Corners are at most ``moved`` away from their positions in the file. If
+    ``is_certain``, every path found is certainly free.
     """
 
     walls: Float[np.ndarray, "walls 4"]
@@ -142,10 +139,7 @@ class Scene:
 
 
 class NumpyPairs:
-    """Distances between any two points, computed in NumPy, as returned by :meth:`PairPLR.numpy`.
-
-    :meth:`PairPLR.js_module` computes the same answers bit for bit.
-    """
+    """Distances between any two points, computed in NumPy, as returned by :meth:`PairPLR.numpy`."""
 
     def __init__(self, stored: PairsFileData) -> None:
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
@@ -236,7 +230,6 @@ class NumpyPairs:
     def _legs(
         self, around: Scene, p: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
-        """Return the corners that the points' leaves list, padded, and the distance of each to its point."""
         above = p.T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]

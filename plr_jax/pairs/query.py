@@ -56,22 +56,18 @@ class PairTables:
     """The tables that a query reads. Coordinates are relative to the middle of the domain.
 
     Attributes:
-        partition: Finds the leaf of a point.
         walls: Walls that block sight, moved back a little: seven coefficients each (:func:`walls_with_sides`), in
-            groups padded with empty walls.
-        occluders: Segments inside obstacles (:func:`occluders_of`), in groups padded with zeros.
+            groups.
+        occluders: Segments inside obstacles (:func:`occluders_of`), in groups.
         near: Walls that may hide a listed corner; None if they are too many to save time.
         x: First coordinate of the corners that each leaf lists, padded with ``inf``; ``y`` likewise.
         listed: Indices of the corners that each leaf lists; the padding is one more than the last index.
-        distances: Distances between corners, padded with ``inf``.
         onward: For each leaf and corner, two packed numbers about paths from the corner to the leaf's box through a
             corner that the leaf lists. The last bits are the listed corner of the shortest path; the rest is a float,
             a lower bound of the length through any other.
-        corners: Positions of the corners, padded with ``inf``.
         middle: The middle of the domain in 32 bits, and the remainder.
         half: Half the domain width along each axis.
-        proud_walls: Walls moved into free space.
-        proud_corners: Corners moved into free space twice as far.
+        proud_walls: Walls moved into free space; ``proud_corners`` move twice as far.
         sure_walls: Walls for lower bounds, without thin obstacles and with gaps where obstacles touch; None if equal
             to ``walls``.
         rounding: Largest error of a distance through ``corners``, and through ``proud_corners``.
@@ -190,13 +186,10 @@ def _ways_to_leaves(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PreparedGoals:
-    """Goals with precomputed distances to all corners: a pytree of arrays that can be batched and sliced.
+    """Goals with their distances to all corners: a pytree of arrays made by :meth:`PairPLR.prepared`.
 
-    Made by :meth:`PairPLR.prepared`.
-
-    Attributes:
-        points: The goals relative to the middle of the domain, in 32 bits.
-        to_corners: Length of the shortest path from each goal to each corner, ``inf`` without a path.
+    The ``points`` are relative to the middle of the domain, in 32 bits. ``to_corners`` holds the length of the
+    shortest path from each goal to each corner, ``inf`` without a path.
     """
 
     points: Float[Array, "*batch 2"]
@@ -205,7 +198,7 @@ class PreparedGoals:
 
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
-    """Return the length of the shortest path from each point to each corner by way of a corner that its leaf lists."""
+    """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
     leaf = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
@@ -222,13 +215,10 @@ def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Flo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points.
+    """Pairs of points ``x`` and ``y`` and their leaves; ``leaf_y`` is None if paths from ``y`` to corners are known.
 
-    Attributes:
-        leaf_x: Leaves of the first points, ``x``.
-        leaf_y: Leaves of the second points, ``y``; None for goals with precomputed distances to corners.
-        at_least: Lower bound of the path length through each corner that the first point's leaf lists. For goals with
-            precomputed distances it is the length if the first point sees the corner.
+    ``at_least`` is a lower bound of the path length through each corner that the leaf of ``x`` lists. If paths from
+    ``y`` to corners are known, and ``x`` sees the corner, it is the length.
     """
 
     x: Float[Array, "n 2"]
@@ -245,8 +235,9 @@ class _Search:
 
     Attributes:
         length: Length of the shortest path found so far, ``inf`` if there is none.
-        via_x: Place in the first point's list of corners of that path's first turn.
-        via_y: Place in the second point's list of its last turn. Straight paths have the length of the lists in both.
+        via_x: Place in the first point's list of corners of that path's first turn; the list's length if it is
+            straight.
+        via_y: Place in the second point's list of its last turn, likewise.
         least: Lower bound of the lengths of paths not yet examined.
         done_x: A bit for each corner of the first point's list: whether it is examined.
         done_y: A bit for each corner of the second point's list: whether it is hidden.
@@ -346,12 +337,9 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
-    """Repeat rounds until no pair of points is open, that is, until none may have a shorter path than found.
-
-    The search ends because each round drops a corner from a list of each open pair.
-    """
     size = search.length.shape[0]
 
+    # The search ends: each round drops a corner from a list of each open pair of points.
     def is_open(search: _Search) -> Bool[Array, "n"]:
         return search.least < search.length
 
@@ -495,8 +483,7 @@ def is_across_occluder(
 ) -> Bool[Array, "n"]:
     """Return whether segments between points cross a segment inside an obstacle, even after rounding.
 
-    Rounding may put an end of such an occluder on the wrong side of a segment. So points must be clear of the
-    occluder's line, on opposite sides.
+    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
     """
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
@@ -516,8 +503,8 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
     """Return whether an obstacle, whose walls have moved back a little, separates points.
 
     A segment through an obstacle crosses one wall inward and another outward. A single crossing happens at a point
-    that rounding puts into a wall, or where thin walls have moved past one another; such a point sees both sides. If
-    paths must be certainly free, a single crossing hides.
+    that rounding puts into a wall, or where thin walls have moved past one another. It does not hide, unless paths
+    must be certainly free.
     """
 
     def meets(crossed, walls):

@@ -100,10 +100,7 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, "points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """Return the walls that arrive at and leave each point, as vectors.
-
-        A wall of length 0 is replaced by the nearest longer wall in the same direction.
-        """
+        """Return vectors of the walls that arrive at and leave each point, or of the next walls that have length."""
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
         arriving = leaving[comes_from]
         for walls, beyond in ((leaving, following), (arriving, comes_from)):
@@ -250,10 +247,7 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield rows of the matrix of shortest distances between points along given edges; ``inf`` without a path.
-
-    Rows come in blocks, each with the index of its first row.
-    """
+    """Yield blocks of rows of the matrix of shortest distances along given edges, after their first row's index."""
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -283,15 +277,11 @@ class PairsFileData:
     """Decoded contents of a file of a PairPLR.
 
     Attributes:
-        domain: The box of valid points.
-        outline: The boundary of free space.
         corner: Indices of the outline points that are corners, ascending.
         edges: Pairs of corners that a shortest path may join straight, the smaller index first.
-        tree: The tree over the leaves.
         leaf: Leaf of each list entry, in the tree's traversal order.
         listed: Index of the corner of each list entry, ascending within a leaf.
         rounding: Largest error of a distance caused by rounding points to the lattice.
-        label: Text label of the file.
     """
 
     domain: Box
@@ -405,10 +395,7 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """Read the corners that each leaf lists, as leaf and corner of each entry.
-
-    ``ValueError`` if there are more than ``most`` entries.
-    """
+    """Read the corners that each leaf lists (leaf and corner of each entry); ``ValueError`` if there are too many."""
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:
