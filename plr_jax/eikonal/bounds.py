@@ -33,17 +33,17 @@ from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
-# Most voxels of volumes whose paths from voxel to voxel are upper bounds.
+# Most voxels of spaces in which paths from voxel to voxel give upper bounds.
 _MOST_VOXELS = 1 << 24
-_PAIRS_AT_ONCE = 1 << 20  # of a leaf and a voxel
-_BOXES_AT_ONCE = 1 << 10  # beyond five axes each has thousands of places
-# Step of stored values as a share of the mean distance of the bounds, and least step as a share of the largest value.
+_PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
+_BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
+# Step of stored values as a share of the mean gap between the bounds; least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# Share of its bounds by which an estimate must be outside of them for a warning; bounds below the second share of the
-# largest bound count as that much.
+# A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound (at least of `_NEAR`
+# times the largest lower bound).
 _OFF, _NEAR = 0.1, 0.01
 
-# Relative margin for the length of a straight line in 32 bits, and costs whose squares 32 bits hold.
+# Relative margin for the length of a straight line in 32 bits; range of costs whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -55,11 +55,7 @@ CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
 @dataclass(frozen=True, eq=False)
 class MeshEstimate:
-    """An estimate of the cost-to-go on a mesh.
-
-    Attributes:
-        corner_values: The estimate at the corners of cells that are not blocked; 0 at corners of blocked cells.
-    """
+    """An estimate of the cost-to-go on a mesh, given by values at the corners of each cell (0 in blocked cells)."""
 
     mesh: Mesh
     corner_values: CellCorners
@@ -107,7 +103,6 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
-        """The lower bound at the corners of cells, up to rounding."""
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
@@ -132,7 +127,7 @@ class CostToGoField:
         is_off = np.maximum(-excess, excess + lower[cell] - upper[cell]) > _OFF * np.maximum(
             lower[cell], _NEAR * lower.max()
         )
-        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of these
+        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of a sampled space
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
                 "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",

@@ -38,18 +38,18 @@ from plr_jax.spaces import (
 )
 
 MOST_AXES = 3
-# Usual number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
-# classify; and for paths over a stencil.
+# Default number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
+# classify; and for shortest paths over a stencil.
 _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
-# Least number of nodes a leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
+# Least number of nodes for each leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
 _NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
-_ROUND = 1e-9  # relative rounding error of numbers of steps
-_REACH = {1: 1, 2: 3, 3: 2}  # of stencil edges in steps, by the number of axes of a block
+_ROUND = 1e-9  # relative rounding error of a number of steps
+_REACH = {1: 1, 2: 3, 3: 2}  # steps of stencil edges along an axis, by the number of axes that share a norm
 _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
-# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within
-# differ from the cost at the goal by more than the factor.
+# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within differ from the
+# cost at the goal by more than the factor `_NEARLY`.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 
 Points = Float[np.ndarray, "n dim"]

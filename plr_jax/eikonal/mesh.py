@@ -17,12 +17,12 @@ from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-_COARSE = 4  # boxes a cell of the grid that locates points
-# Largest aspect of cells: beyond it, the equations lose all digits along the long axis.
+_COARSE = 4  # boxes of the grid that locates points, for each cell
+# Largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis.
 _MOST_SLENDER = 2e5
-# Share of its largest width above which a cell is halved along an axis.
+# A cell is halved along axes in which it is wider than this share of its largest width.
 _LONG = 0.7
-# Least splits of a periodic axis, with which no two cells touch on both sides.
+# Least number of halvings of a periodic axis: no two cells may touch on both sides.
 _LEAST_PERIODIC = 2
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -58,7 +58,7 @@ class Mesh:
 
     @cached_property
     def all_faces(self) -> SharedFaces:
-        """Faces between any two cells."""
+        """Faces between any two cells, blocked or not."""
         return shared_faces(self.tree, self.domain.periodic)
 
     @cached_property
@@ -209,7 +209,7 @@ class Mesh:
         half that is proven free or blocked, only this axis is halved. Walls along halves of cells then take few
         cells.
         """
-        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that one adds
+        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and (room is None or room >= most):
             batch = which[num:] if room is None else which[num : num + room // most]
             children, *of_children = self._parts(batch, space)
@@ -304,10 +304,9 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count some blocked cells as mixed: cells at contacts, where free cells touch only in an edge or a corner.
+    """Count a flush blocked cell as mixed if cells that are not blocked touch only in an edge or a corner of it.
 
-    Only flush cells are changed. A path may begin on either side of a contact, and may pass if the space lets robots
-    squeeze through.
+    A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))

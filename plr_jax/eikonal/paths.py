@@ -28,11 +28,11 @@ from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 # Most rounds of straightening, and the share of all costs that a round must gain for another one.
 _ROUNDS, _ENOUGH = 24, 1e-4
-_GAIN = 1e-9  # that a change of a path must have, as a share of its cost
+_GAIN = 1e-9  # share of a path's cost that a change of the path must save
 # Distance beyond a face at which the next cell is located, as a share of the domain.
 _AHEAD = 2.0**-44
-_ROUNDING = 1e-10  # share by which upper bounds are increased
-_EDGES_AT_ONCE = 1 << 18  # bounds the memory
+_ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
+_EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
