@@ -39,8 +39,8 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
 # Step of stored values as a share of the mean gap between the bounds; least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound (at least of `_NEAR`
-# times the largest lower bound).
+# A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound, or of `_NEAR`
+# times the largest lower bound if that is more.
 _OFF, _NEAR = 0.1, 0.01
 
 # Relative margin for the length of a straight line in 32 bits; range of costs whose squares 32 bits hold.

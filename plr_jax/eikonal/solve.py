@@ -97,8 +97,8 @@ def solve_eikonal(
         ValueError: If ``space`` is no space, the goal is not free, a limit is out of its range, or bounds of the cost
             map are not positive and finite. If a limit is too small for one leaf, for four cells along each periodic
             axis, for cells at most 200,000 times as long as wide, or for samples to meet all cells that are not
-            blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees
-            the goal. If a directional cost map comes with a space whose costs are no lengths.
+            blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
+            sees the goal. If a directional cost map comes with a space whose costs are no lengths.
 
     References:
         Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.

@@ -37,7 +37,7 @@ from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
-_SLACK = 8  # workspace tolerances by which visibility may err
+_SLACK = 8  # number of workspace tolerances by which visibility may err
 _FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 
 
@@ -117,7 +117,7 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
 
 
 _SHARE = 0.25  # share of the largest key above which cells are halved together
-_IN_VAIN = 0.1  # invisible listed corners per point, on average; queries get no faster with fewer
+_IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer make queries no faster
 
 
 @dataclass(frozen=True, eq=False)

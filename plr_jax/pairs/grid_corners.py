@@ -236,7 +236,7 @@ def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndar
     return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
 
 
-_NO_PATH = FAR + 2**20  # small differences keep it above FAR
+_NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
 _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
 _ANCESTOR_BYTES = 8

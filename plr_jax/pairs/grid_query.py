@@ -202,9 +202,9 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
 _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
-_MOST_TOLD = 2**7 - 1  # block counts above it are equal for sorting
-_WORD = 32  # bits
-_ROUNDING = 2.0**-22  # relative error above that of rounding in 32 bits
+_MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
+_WORD = 32  # bits of a word
+_ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
 
 SLACK = 2.0**-20
 """Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step."""

@@ -24,10 +24,10 @@ from plr_jax.geometry.box import Box
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
-_AT_ONCE = 2**14  # pairs of an entry and a wall tested together
+_AT_ONCE = 2**14  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
-_MOST_TESTS = 2**25  # tests of a block in one round
-_MOST_PAIRS = 2**24  # pairs of an entry and a near wall, by memory
+_MOST_TESTS = 2**25  # tests of a block of walls in one round
+_MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memory
 _PAIRS = 2**12  # random pairs of points by which occluders are chosen
 _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
@@ -194,7 +194,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     occluder, relative to the middle of the domain, and the coefficients of a linear function that is 0 on the line
     through them and 1 where a point is certainly beside this line.
     """
-    import shapely  # PLRs do not need it
+    import shapely  # other queries do not need Shapely
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
     rng = np.random.default_rng(0)

@@ -18,10 +18,10 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Sample points of a leaf in local coordinates."""
 _HALVINGS = 4  # halvings of a leaf that no corner fits well
-_DEPTH = 13  # depth to which a file with few leaves is halved
+_DEPTH = 13  # number of halvings by which a file with few leaves may be refined
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
-_ROUNDING = 1e-6  # relative error above that of a query, of a distance plus the domain width
+_ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
