@@ -40,7 +40,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return the length in units of a shortest path without obstacles across some rows and columns, at least 0."""
+    """Return the length in units of a shortest path between cells some rows and columns apart on an empty grid."""
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -141,7 +141,7 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
-    """A grid turned so that one quadrant or octant of every corner extends to higher rows and columns.
+    """A grid flipped or transposed so that one quadrant or octant of every corner extends to higher rows and columns.
 
     ``origin`` and the steps map rows and columns of this view to cell numbers of the grid. Two sectors share the
     cells straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which sector owns them.

@@ -148,12 +148,12 @@ class GridPairs:
         return f"GridPairs({rows} x {columns} cells, {self.tables.connectivity}-connected, {self.num_bytes} bytes)"
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return lengths of shortest paths between the cells of points, in steps; diagonal steps count ``sqrt(2)``.
+        """Return lengths of shortest paths between the cells of points; diagonal steps (if any) count ``sqrt(2)``.
 
-        Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row ``r`` and column ``c``
-        has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are symmetric bit for bit,
-        and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or a point is outside the
-        grid or NaN. A function is compiled for each shape of points.
+        Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
+        ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are
+        symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or
+        a point is outside the grid or NaN. A function is compiled for each shape of points.
         """
         points = _as_points("x", x), _as_points("y", y)
         try:

@@ -75,7 +75,7 @@ class PairPLR(FileBacked):
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """Return a copy with another label (:meth:`FileBacked.with_label`) that shares tables that are built."""
+        """Return a copy with another label (see :class:`FileBacked`); tables that are already built are shared."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
