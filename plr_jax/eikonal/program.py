@@ -191,9 +191,7 @@ class SlopeSets:
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
             return length / self.radius
-        inner = self.radius - np.linalg.norm(
-            self._nearest_offset(np.zeros_like(g)), axis=0
-        )  # radius of a ball around 0
+        inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball around 0
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
@@ -293,7 +291,7 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return the share of each cell that is not blocked in the gap of the program.
+        """Return each open (not blocked) cell's share of the gap between the lower bound and the cost of the flow.
 
         It is the volume times the upper bound of the cost of the flow through the cell, minus the rise of the lower
         bound along the flow (0 in mixed cells), at least 0. The sum approximates the integral of the true cost-to-go

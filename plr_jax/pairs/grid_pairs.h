@@ -62,7 +62,7 @@ static inline int @NAME@_is_free(uint32_t cell)
 }
 @SIGHT@
 @DISTANCES@
-/* The corners that a cell lists, its distance from each, and the distance from there to another cell on an empty grid. */
+/* The corners that a cell lists, its distance from each, and each one's distance on an empty grid to another cell. */
 static inline uint32_t @NAME@_corners(
     uint32_t cell, int32_t row, int32_t column, int32_t to_row, int32_t to_column, int32_t *corner, int32_t *leg,
     int32_t *way)
