@@ -33,17 +33,17 @@ from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
-# Most voxels of volumes whose paths from voxel to voxel are upper bounds.
+# Most voxels of spaces in which paths from voxel to voxel give upper bounds.
 _MOST_VOXELS = 1 << 24
-_PAIRS_AT_ONCE = 1 << 20  # of a leaf and a voxel
-_BOXES_AT_ONCE = 1 << 10  # beyond five axes each has thousands of places
-# Step of stored values as a share of the mean distance of the bounds, and least step as a share of the largest value.
+_PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
+_BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
+# Step of stored values as a share of the mean gap between the bounds; least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# Share of its bounds by which an estimate must be outside of them for a warning; bounds below the second share of the
-# largest bound count as that much.
+# A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound, or of `_NEAR`
+# times the largest lower bound if that is more.
 _OFF, _NEAR = 0.1, 0.01
 
-# Relative margin for the length of a straight line in 32 bits, and costs whose squares 32 bits hold.
+# Relative margin for the length of a straight line in 32 bits; range of costs whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -55,11 +55,7 @@ CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
 @dataclass(frozen=True, eq=False)
 class MeshEstimate:
-    """An estimate of the cost-to-go on a mesh.
-
-    Attributes:
-        corner_values: The estimate at the corners of open cells; 0 at corners of blocked cells.
-    """
+    """An estimate of the cost-to-go on a mesh, given by values at the corners of each cell (0 in blocked cells)."""
 
     mesh: Mesh
     corner_values: CellCorners
@@ -78,12 +74,12 @@ class CostToGoField:
     """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them.
 
     Attributes:
-        program: The program for the lower bound.
+        program: The convex program for the lower bound.
         values: Its solution, 0 at the goal; slopes may be a little too large before they are rescaled.
-        paths: The paths that give the upper bound.
-        nodal_estimate: An estimate at the nodes of the mesh; ``inf`` if there is none.
+        paths: The paths from nodes to the goal that give the upper bound.
+        nodal_estimate: An estimate at the nodes (corners of cells) of the mesh; ``inf`` if there is none.
         space: The configuration space.
-        guide: The estimate at any point; None beyond three axes.
+        guide: An estimate at any point, interpolated on a grid; None beyond three axes.
     """
 
     program: SlopeProgram
@@ -95,7 +91,6 @@ class CostToGoField:
 
     @property
     def mesh(self) -> Mesh:
-        """The cells."""
         return self.program.space.mesh
 
     @cached_property
@@ -108,7 +103,6 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
-        """The lower bound at the corners of cells, up to rounding."""
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
@@ -117,13 +111,13 @@ class CostToGoField:
 
     @cached_property
     def _corner_costs(self) -> CellCorners:
-        """The cost of a path from each corner of open cells; ``inf`` if there is none."""
+        """Cost of a path to the goal from each corner of cells that are not blocked; ``inf`` if there is none."""
         is_open = self.mesh.state != CellState.BLOCKED
         return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, clipped to the bounds, and extended where there is none.
+        """The estimate, clipped to the bounds; where it is unknown, nearby values are used.
 
         A ``UserWarning`` says where the estimate was outside of its bounds by more than a tenth.
         """
@@ -133,7 +127,7 @@ class CostToGoField:
         is_off = np.maximum(-excess, excess + lower[cell] - upper[cell]) > _OFF * np.maximum(
             lower[cell], _NEAR * lower.max()
         )
-        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of these
+        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of a sampled space
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
                 "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",
@@ -145,16 +139,16 @@ class CostToGoField:
 
     @property
     def mean_gap(self) -> float:
-        """Mean distance of the bounds at the corners that have both."""
+        """Mean of upper minus lower bound at the corners that have both."""
         known = np.isfinite(self._corner_costs)
         return float((self._corner_costs - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the cost-to-go minus multilinear functions over boxes in open cells.
+        """Return lower and upper bounds of the cost-to-go minus multilinear functions over boxes in open cells.
 
-        Boxes are in local coordinates of their cell, functions by their values at the boxes' corners. The bounds
-        include points that rounding may place in a box, for the function at the nearest point of the box. Upper
-        bounds are ``inf`` if no path is known from all free points.
+        Box ends are local coordinates of ``cell``, which is not blocked; functions are given by their values at the
+        boxes' ``corners``. Bounds include points that rounding may place in a box, for the function at the nearest
+        point of the box. Upper bounds are ``inf`` if no path is known from all free points.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -196,7 +190,7 @@ class CostToGoField:
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
         """Return, at the corners of boxes, linear lower bounds of the cost of straight motions to the goal.
 
-        They are tangent to the least cost of these motions at the middle of the box.
+        They are tangent to the least cost of these motions at the middle of the box; 0 if an axis is periodic.
         """
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
@@ -211,7 +205,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Path nodes, or the goal, that a free box joins to a whole cell; -1 for none."""
+        """For each cell, path nodes (or the goal) such that all straight motions to them are free; else -1."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -230,7 +224,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, and for motions to a cell from points that rounding places in it."""
+        """A margin for rounding, and for motions to a cell from points that rounding places in the cell."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -239,7 +233,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether straight motions to a corner are free from all free points that rounding places in a cell."""
+        """Whether straight motions to a corner are free from all free points that rounding places in its cell."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
@@ -279,7 +273,7 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """Return a PLR of a leaf a cell, tied across open faces; None if its file is too large."""
+    """Return a PLR with a leaf for each cell, continuous across open faces; None if its file is too large."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -294,7 +288,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Grow a partition whose file has at most ``max_bytes`` bytes."""
+    """Build a PLR of an estimate in at most ``max_bytes`` bytes, with proven bounds unless ``field`` is None."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -313,7 +307,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
-    """Add bounds to each leaf, over all cells of the mesh that meet it."""
+    """Add proven bounds to each leaf: the worst over all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself
@@ -361,9 +355,9 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return the lower bound by the straight line, for :class:`Certificate`; None if it has no such form.
+    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has no such form.
 
-    The margin covers rounding of coordinates to 32 bits, the rate that of the length.
+    The margin covers rounding of coordinates to 32 bits, the rate covers rounding of the length.
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
@@ -384,9 +378,9 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, "leaves"]:
     """Return upper bounds of the cost-to-go minus the function of each leaf, by paths from voxel to voxel.
 
-    From a point of a free voxel, a straight motion leads to the voxel's center, and 26 moves lead on to the goal.
-    These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, and for other than three
-    axes.
+    From a point of a free voxel, a straight motion leads to the voxel's center, and moves to any of 26 neighbors lead
+    on to the goal. These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, for very
+    many voxels, and for other than three axes.
     """
     grid, goal = space.grid, space.domain.at(field.paths.points[-1])
     above = np.full(len(cells), np.inf)

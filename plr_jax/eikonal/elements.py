@@ -1,9 +1,10 @@
 """Finite elements of degree 1 or 2 that are continuous across the open faces of a mesh.
 
-Each cell has a lattice of ``degree + 1`` nodes along every axis. Nodes of two cells at one point of an open face are
-one. A node on a face of a larger cell that is no node of it *hangs*: it takes the value of that cell's polynomial.
-The other nodes are degrees of freedom. Bernstein control vectors enclose the gradient, so a convex condition on all
-of them holds everywhere in the cell.
+An open face is between two cells that are not blocked. Each cell has a lattice of ``degree + 1`` nodes along every
+axis. Nodes of two cells at the same point of an open face are identified. A node on a face of a larger cell that has
+no node there *hangs*: it takes the value of that cell's polynomial. The other nodes are degrees of freedom. Bernstein
+coefficients of the gradient (control vectors) enclose the gradient, so a convex condition on all of them holds
+everywhere in the cell.
 """
 
 from dataclasses import dataclass
@@ -26,13 +27,13 @@ _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """The continuous piecewise polynomials on a mesh, of a degree along every axis.
+    """The continuous piecewise polynomials on a mesh, of ``degree`` along every axis.
 
     Attributes:
         lattice: The nodes of a cell, from 0 to 1 along each axis.
         values: Maps degrees of freedom to values at all nodes, ``cell * nodes_of_cell + node``; 0 in blocked cells.
         points: The place of each degree of freedom, as a fraction of the domain.
-        node_of: A node of each degree of freedom.
+        node_of: A node of each degree of freedom, numbered like the rows of ``values``.
     """
 
     mesh: Mesh
@@ -43,13 +44,14 @@ class FunctionSpace:
     node_of: Int[np.ndarray, "dofs"]
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the map from degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
+        """Return the matrix from degrees of freedom to values at points ``t`` of cells, from 0 to 1 each."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return maps from degrees of freedom to control values of each partial derivative in open cells.
+        """Return, for each axis, the matrix from degrees of freedom to Bernstein coefficients of that derivative.
 
-        Rows are ``open cell * nodes_of_cell + control point``. Derivatives are by coordinates times the scale.
+        Rows are ``number * nodes_of_cell + control point`` for the cells that are not blocked. Derivatives are by
+        coordinates times ``scale``.
         """
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
@@ -69,7 +71,7 @@ class FunctionSpace:
         return operators
 
     def integrals(self) -> Float[np.ndarray, "dofs"]:
-        """Return the integral over all open cells of each basis function."""
+        """Return the integral of each basis function over all cells that are not blocked."""
         mesh = self.mesh
         share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
         weights = mesh.volumes[mesh.open_cells, None] * share
@@ -78,7 +80,7 @@ class FunctionSpace:
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """Evaluate the basis functions of the nodes at points from 0 to 1 of a cell."""
+    """Evaluate the basis functions of a cell's nodes at points ``t``, from 0 to 1 along all axes of the cell."""
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
@@ -90,12 +92,12 @@ def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n no
 
 
 def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
-    """Return the map from values at the nodes of a cell to control values."""
+    """Return the matrix from a polynomial's values at the nodes of a cell to its Bernstein coefficients."""
     return reduce(np.kron, [_TO_BERNSTEIN[degree]] * dim)
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
-    """Build the space of the continuous functions on a mesh."""
+    """Build the space of piecewise polynomials that are continuous across faces between open (not blocked) cells."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Find nodes that are one with a node of another cell, and nodes that hang on a cell, with their place in it.

@@ -2,8 +2,8 @@
 
 - If motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
   stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner.
-- If costs depend on the direction, or add up over blocks of axes, a shortest path over a stencil of several steps is
-  the estimate. It is up to a few percent too long.
+- If costs depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns),
+  shortest paths over edges of several steps are the estimate. They are up to a few percent too long.
 
 Walls are moved to the nearest nodes. Many nodes cost less time than a correction for this would.
 
@@ -38,18 +38,18 @@ from plr_jax.spaces import (
 )
 
 MOST_AXES = 3
-# Usual number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
-# classify; and for paths over a stencil.
+# Default number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
+# classify; and for shortest paths over a stencil.
 _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
-# Least number of nodes a leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
+# Least number of nodes for each leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
 _NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
-_ROUND = 1e-9  # relative rounding error of numbers of steps
-_REACH = {1: 1, 2: 3, 3: 2}  # of stencil edges in steps, by the number of axes of a block
+_ROUND = 1e-9  # relative rounding error of a number of steps
+_REACH = {1: 1, 2: 3, 3: 2}  # steps of stencil edges along an axis, by the number of axes that share a norm
 _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
-# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within
-# differ from the cost at the goal by more than the factor.
+# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within differ from the
+# cost at the goal by more than the factor `_NEARLY`.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 
 Points = Float[np.ndarray, "n dim"]
@@ -66,8 +66,10 @@ class GridEstimate:
     """The cost-to-go at the nodes of a grid, interpolated between them.
 
     Attributes:
-        at_goal: Factor and pulls of the cost of motions at the goal (see :class:`CellCosts`); pulls may be None.
-        ratio: The cost-to-go over the cost of the straight motion to the goal by the costs at the goal.
+        at_goal: Factor of the norm and pulls (see :class:`CellCosts`) of the cost of motions at the goal; pulls may
+            be None.
+        ratio: The cost-to-go, divided by the cost of the straight motion to the goal if all motions cost as at the
+            goal.
         cost: The cost-to-go at each node; ``inf`` where no path leads to the goal.
     """
 
@@ -94,7 +96,7 @@ class GridEstimate:
 def straight_costs(
     space: ConfigurationSpace, at: tuple[float, Float[np.ndarray, "2 1 dim"] | None], change: Points
 ) -> Float[np.ndarray, "n"]:
-    """Return the costs of straight motions by the factor and the pulls at one configuration."""
+    """Return the costs of straight motions, given the factor of their norm and the pulls at one configuration."""
     factor, pulls = at
     return factor * space.motion_cost.norm(change) + pulled(
         None if pulls is None else np.broadcast_to(pulls, (2, *change.shape)), change
@@ -104,11 +106,11 @@ def straight_costs(
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_leaves: int = 0
 ) -> GridEstimate:
-    """Estimate the cost-to-go on a grid of about 160,000 nodes in the plane, and 200,000 to a million in space.
+    """Estimate the cost-to-go on a grid of some 160,000 nodes in the plane, 200,000 to a million in space.
 
     Nodes are the centers of voxels, or of the cells of a :class:`RasterCost` that fills the domain. If these are few,
     each cell is divided into an odd number of parts along each axis. For ``num_leaves`` leaves there are at least 16
-    nodes each.
+    nodes each, up to rounding.
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
@@ -163,11 +165,11 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Return a box, and the number of its cells along each axis, whose centers are the nodes.
+    """Return a box and its number of cells along each axis; the cell centers are the nodes of the grid.
 
-    The box has at least ``num_nodes`` nodes, or the usual number if that is larger, up to rounding. Without a raster,
-    the first and the last nodes are on the faces of the domain, and steps are round decimals if these fit: many maps
-    have walls there.
+    There are about ``num_nodes``, but not fewer than the default for this dimension. Without a raster, the first and
+    the last nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round
+    coordinates.
     """
     domain = space.domain
     # 1. The centers of given cells, unless these are too many.
@@ -198,7 +200,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen]:
-    """Return the state of each cell of a grid, and through which nodes paths may pass."""
+    """Return the state of each cell of a grid, and whether paths may pass through the node at its center."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -235,7 +237,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> None:
-    """Close one node of each two neighbors with a wall between them: the node nearer to the wall."""
+    """Close one of each two neighbor nodes with a wall between them: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         other = np.roll(is_open, -1, axis)
@@ -264,7 +266,7 @@ def _marched(
     radius: float,
     side: Sides,
 ) -> Costs:
-    """March from a ball around the goal, within which paths are straight."""
+    """Return the costs of nodes by marching from a ball around the goal, in which paths are straight."""
     # 1. Choose the ball: all its nodes see the goal, and cost about as much as the goal, except the cheapest node.
     weight = space.motion_cost.blocks[0][1]
     rate = weight * at_goal
@@ -303,7 +305,7 @@ def _over_stencil(
     straight: Costs,
     side: Sides,
 ) -> Costs:
-    """Return costs of shortest paths over edges of up to a few steps within each block of axes."""
+    """Return costs of shortest paths to the goal over edges of a few steps along axes that share a norm."""
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from nodes whose whole stencil is free need no test.

@@ -1,4 +1,4 @@
-"""The mesh of a configuration space: dyadic cells that are proven free or blocked, or mixed."""
+"""The mesh of a configuration space: dyadic cells that are proven free, proven blocked, or mixed."""
 
 import copy
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-_COARSE = 4  # boxes a cell of the grid that locates points
-# Largest aspect of cells: beyond it, the equations lose all digits along the long axis.
+_COARSE = 4  # boxes of the grid that locates points, for each cell
+# Largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis.
 _MOST_SLENDER = 2e5
-# Share of its largest width above which a cell is halved along an axis.
+# A cell is halved along axes in which it is wider than this share of its largest width.
 _LONG = 0.7
-# Least splits of a periodic axis, with which no two cells touch on both sides.
+# Least number of halvings of a periodic axis: no two cells may touch on both sides.
 _LEAST_PERIODIC = 2
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -36,9 +36,9 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 class Mesh:
     """The dyadic cells of a domain, in the order of the tree's traversal, and the state of each.
 
-    Points are *fractions* of the domain, from 0 to 1 along each axis, or *local* coordinates in a cell, from 0 to 1.
-    Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so it
-    answers as the open cells beside it do.
+    Points are given as *fractions* of the domain, or in *local* coordinates of a cell, both from 0 to 1 along each
+    axis. Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so
+    it answers as the open (not blocked) cells beside it do.
     """
 
     domain: Box
@@ -48,19 +48,17 @@ class Mesh:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.domain.dim
 
     # Properties of the cells are shared with the meshes of `with_state`.
 
     @cached_property
     def cells(self) -> Cells:
-        """The dyadic cells."""
         return self.tree.leaves
 
     @cached_property
     def all_faces(self) -> SharedFaces:
-        """Faces between any two cells."""
+        """Faces between any two cells, blocked or not."""
         return shared_faces(self.tree, self.domain.periodic)
 
     @cached_property
@@ -70,12 +68,11 @@ class Mesh:
 
     @cached_property
     def grown_boxes(self) -> Corners:
-        """Corners of boxes around all points that rounding may place in the cells."""
+        """Lower and upper corners of boxes around all points that rounding may place in the cells."""
         return _grown_boxes(self.cells, self.domain)
 
     @cached_property
     def widths(self) -> Float[np.ndarray, "cells dim"]:
-        """Widths of the cells."""
         return np.ldexp(self.domain.width, -self.cells.depth)
 
     @cached_property
@@ -95,7 +92,7 @@ class Mesh:
 
     @cached_property
     def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
-        """A grid: its splits along each axis, and the smallest tree node that holds each of its boxes."""
+        """Splits of a grid along each axis, and the smallest tree node that contains each of its boxes."""
         depth = np.zeros(self.dim, np.int64)
         while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
             depth[np.argmax(self._finest - depth)] += 1
@@ -106,39 +103,38 @@ class Mesh:
 
     @property
     def nodes(self) -> Float[np.ndarray, "nodes dim"]:
-        """Corners of cells, as fractions of the domain, below 1 along periodic axes."""
+        """Corners of all cells, as fractions of the domain, below 1 along periodic axes."""
         return self._corners[0]
 
     @property
     def corners(self) -> Int[np.ndarray, "cells corners"]:
-        """The nodes at the corners of each cell."""
+        """Indices of the `nodes` at the corners of each cell."""
         return self._corners[1]
 
     @property
     def volumes(self) -> Float[np.ndarray, "cells"]:
-        """Volumes of the cells."""
         return self.widths.prod(axis=1)
 
     @property
     def inset(self) -> Float[np.ndarray, "dim"]:
-        """A quarter of the smallest width along each axis, as a fraction of the domain."""
+        """A quarter of the smallest cell's width along each axis, as a fraction of the domain."""
         return np.ldexp(0.25, -self._finest)
 
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Return local coordinates as fractions of the domain; dyadic ones are exact."""
+        """Convert local coordinates of cells to fractions of the domain; dyadic coordinates stay exact."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
     def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Return fractions of the domain as local coordinates."""
+        """Convert fractions of the domain to local coordinates of cells."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Return fractions of the domain as local coordinates, across the seam of a periodic axis too."""
+        """Convert fractions of the domain to local coordinates, by the shorter way around periodic axes."""
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the cells that hold fractions of the domain: the upper one of several, the nearest outside."""
+        """Return the cells that contain points, given as fractions: the upper of several, the nearest outside."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
         depth, node = self._coarse
@@ -164,7 +160,7 @@ class Mesh:
 
     @property
     def is_open_face(self) -> Bool[np.ndarray, "faces"]:
-        """A mask of the faces between cells that are not blocked."""
+        """Mask of the faces in `all_faces` between two cells that are not blocked."""
         is_open = self.state != CellState.BLOCKED
         return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
 
@@ -175,12 +171,12 @@ class Mesh:
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Pairs of a flush blocked cell and an open cell that touches it."""
+        """Pairs of a blocked cell that borders on free space (flush), and a cell touching it that is not blocked."""
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """Return the lower and upper ends of what touching cells share, and turns to the other cell.
+        """Return lower and upper ends of the intersections of touching cells, and turns to the other cell.
 
         A turn is 1 or -1 if the other cell is across the seam of a periodic axis, else 0.
         """
@@ -191,29 +187,29 @@ class Mesh:
         return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
 
     def connected_to(self, cell: int) -> Mask:
-        """Return a mask of the cells that open faces connect to a cell."""
+        """Return a mask of the cells that faces between cells that are not blocked connect to a cell."""
         num, faces = len(self.state), self.faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
         return part == part[cell]
 
     def with_state(self, state: States) -> "Mesh":
-        """Return the mesh of the same cells with other states."""
         mesh = copy.copy(self)
         mesh.state = state
         return mesh
 
     def without(self, is_closed: Mask) -> "Mesh":
-        """Return the mesh with some cells counted as blocked."""
+        """Return the mesh with the cells of a mask counted as blocked."""
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
         """Return the mesh with some cells halved along all their long axes, in order, while there is room.
 
-        If halving a mixed cell along one axis gives a half that is proven, only this axis is halved: walls along
-        halves of cells then take few cells.
+        ``room`` is the number of cells that may be added; None: any. If halving a mixed cell along one axis gives a
+        half that is proven free or blocked, only this axis is halved. Walls along halves of cells then take few
+        cells.
         """
-        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that one adds
+        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and (room is None or room >= most):
             batch = which[num:] if room is None else which[num : num + room // most]
             children, *of_children = self._parts(batch, space)
@@ -228,7 +224,7 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """Return the parts of refined cells, their states, and which are flush."""
+        """Return the parts into which cells are split, their states, and which parts are flush."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
         # 1. Classify the parts of mixed cells, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)
@@ -260,7 +256,7 @@ class Mesh:
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
-    """Return a mesh of at least ``num_cells`` cells, if ``max_cells`` allows, of about equal widths."""
+    """Return a mesh of equal cells of similar widths: at least ``num_cells``, if ``max_cells`` allows."""
     domain, scale = space.domain, space.motion_cost.scale
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
@@ -293,7 +289,7 @@ def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
 
 
 def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
-    """Return the state of cells, and which are flush: blocked, while points that rounding places there are not."""
+    """Return the state of cells, and which are blocked although rounding may place free points there (flush)."""
     if not len(cells):
         return np.zeros(0, np.int8), np.zeros(0, bool)
     state = as_states(space.classify(*cells.boxes(domain)), len(cells))
@@ -308,7 +304,7 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count flush blocked cells as mixed if open cells touch, between blocked ones, only in their edge or corner.
+    """Count a flush blocked cell as mixed if cells that are not blocked touch only in an edge or a corner of it.
 
     A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
     """
@@ -343,6 +339,6 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
 
 
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
-    """Return whether some open sides are not joined to others through open sides."""
+    """Return whether the open sides around each edge are not all joined through one another."""
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

@@ -28,11 +28,11 @@ from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 # Most rounds of straightening, and the share of all costs that a round must gain for another one.
 _ROUNDS, _ENOUGH = 24, 1e-4
-_GAIN = 1e-9  # that a change of a path must have, as a share of its cost
+_GAIN = 1e-9  # share of a path's cost that a change of the path must save
 # Distance beyond a face at which the next cell is located, as a share of the domain.
 _AHEAD = 2.0**-44
-_ROUNDING = 1e-10  # share by which upper bounds are increased
-_EDGES_AT_ONCE = 1 << 18  # bounds the memory
+_ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
+_EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to a goal whose cell is not free.
 _NEAR_GOAL = 512
 
@@ -45,12 +45,12 @@ Point: TypeAlias = Float[np.ndarray, "dim"]
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths to the goal from the nodes of a mesh.
+    """Paths to the goal from the nodes (corners of cells) of a mesh.
 
     Attributes:
         points: The nodes as fractions of the domain, then the goal.
         cost: Cost of each node's path, rounded up; ``inf`` if none was found.
-        next: The second node of each path; the goal's number for the goal itself, and if there is no path.
+        next: Index of the second node of each path; the goal's index for the goal itself, and if there is no path.
     """
 
     points: Float[np.ndarray, "nodes dim"]
@@ -59,12 +59,12 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> Costs:
-    """Return costs of shortest paths in the graph from the nodes of a mesh; ``inf`` if there is no path."""
+    """Return costs of paths from a mesh's nodes to the goal along edges in free cells; ``inf`` if there is none."""
     return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> NodePaths:
-    """Find short paths from the corners of free cells to a goal, a fraction of the domain."""
+    """Find short paths from the corners of free cells to a goal, given as a fraction of the domain."""
     graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _along(next_, leg), np.arange(len(next_))
@@ -88,7 +88,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: Configurati
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Sum costs along paths to the goal by pointer doubling."""
+    """Sum the costs of first edges (``leg``) along paths to the goal by pointer doubling."""
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -125,7 +125,7 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, goal: Point) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield edges, sorted, for some nodes at a time: cells of many axes share most of their pairs of corners."""
+        """Yield begins, ends and costs of edges, sorted, for some nodes at a time, since cells share many edges."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         home = mesh.locate(goal[None])
@@ -166,7 +166,7 @@ class _FreeGraph:
             yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
-        """Return the end and the cost of the first edge of each node's shortest path."""
+        """Return the end and the cost of the first edge of each node's shortest path to the goal."""
         num = len(self.points)
         graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
@@ -176,7 +176,7 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Return for each node the best second node of a neighbor's path, if no wall were in the way."""
+        """Return, for each node, the best second node of a neighbor's path, if no wall were in the way."""
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):
@@ -189,7 +189,7 @@ class _FreeGraph:
         return best
 
     def least_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """Return lower bounds of the costs of straight motions."""
+        """Return lower bounds of the costs of straight motions between nodes."""
         return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def straight_costs(self, begin: Edges, end: Edges) -> EdgeCosts:

@@ -1,18 +1,20 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
 A function is nowhere above the cost of any path if it is 0 at the goal, continuous across every face that is not
-proven blocked, and nowhere steeper than a step costs. Control vectors bound the slope of a polynomial, so the largest
-such function ``u``, by its integral, solves
+proven blocked, and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors,
+one at each control point of a cell) bound the slope of a polynomial. So the largest such function ``u``, by its
+integral, solves
 
-    maximize  sum of w u   subject to  |gradient at each control point| <= cost of a step in the cell.
+    maximize  sum of w u   subject to  |control vector| <= least cost of a step in the cell,
 
-The multipliers are a flow from everywhere to the goal along cheapest paths. The alternating direction method of
-multipliers solves the program by a Poisson equation in each iteration. At last the values are bent so that they
-satisfy the constraints, rounding included: the bound is proven after any number of iterations.
+where ``w`` are the integrals of the basis functions. The multipliers are a flow from everywhere to the goal along
+cheapest paths. The alternating direction method of multipliers solves the program, with a Poisson equation in each
+iteration. At last a piecewise linear function of the values rescales them until they satisfy the constraints,
+rounding included. So the bound is proven after any number of iterations.
 
 References:
     Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and degenerate
-    elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
+        elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
 
 from collections.abc import Sequence
@@ -41,15 +43,15 @@ Dofs: TypeAlias = Float[np.ndarray, "dofs"]
 ROUNDING = 1e-9
 """Relative margin for rounding of values and slopes."""
 _TINY = float(np.finfo(float).tiny)
-# Parts of a cell along each axis in which the factor is bounded, by the number of axes.
+# Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
-# Least share of the least factor to which a linear bound may fall in a cell.
+# A linear bound of the factor may fall in a cell to this share of the constant bound, but no lower.
 _LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell, and for points beside it that a query may place in it.
+    """Bounds of the cost of motions in each cell, and from points beside a cell that rounding may place in it.
 
     A motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``, where ``|dq|`` is
     the norm ``motion``. Without pulls, the factor of ``|dq|`` also lies between two linear functions of the place.
@@ -58,7 +60,7 @@ class CellCosts:
         slope: Change of the linear bounds across each cell, along each axis.
         least: The lower linear bound in the middle of the cell.
         most: The upper linear bound in the middle of the cell.
-        pulls: Two vectors a cell, for costs that depend on the direction, or None.
+        pulls: Two vectors for each cell, if costs depend on the direction, else None.
     """
 
     motion: MotionCost
@@ -72,7 +74,7 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs for estimates, whose upper bounds of the factor are the middle of both bounds."""
+        """Costs for estimates: the upper bounds of the factor are replaced by the middle of both bounds."""
         lower, least = self.lower, self.least
         if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
@@ -87,7 +89,7 @@ class CellCosts:
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """Return upper bounds of the costs of straight motions in cells, tighter with known middles."""
+        """Return upper bounds of the costs of straight motions in cells, tighter if their middles are known."""
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
@@ -132,19 +134,19 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return a piecewise linear function of the values that makes too large slopes admissible.
+    """Return a piecewise linear function of the values of a bound that makes slopes that are too large admissible.
 
-    Wherever the slope in a cell, with values from ``lowest`` to ``highest``, is ``factor`` times too large, the
-    function has at most the slope ``1 / factor``. Values farther from the goal move down by the loss alone, far less
-    than if all were divided by the largest factor. Returned are breakpoints, ascending, and the function there, 0 at
-    0.
+    In a cell, values lie between ``lowest`` and ``highest``, and the slope is ``factor`` times the largest admissible
+    one. Between these values the function has at most the slope ``1 / factor``. Values farther from the goal move
+    down by this loss alone, far less than if all were divided by the largest factor. Returned are breakpoints,
+    ascending, and the function there, 0 at 0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
     level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
     steepest = np.ones(len(level) - 1)
     first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-    for cell in order.tolist():  # the steepest last, to overwrite
+    for cell in order.tolist():  # the steepest last, to overwrite others
         steepest[first[cell] : last[cell]] = factor[cell]
     value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
     return level, value - np.interp(0.0, level, value)
@@ -152,11 +154,12 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The convex set of admissible gradients of a lower bound at each control point.
+    """The convex set of admissible gradients of a lower bound, at each control point.
 
     A lower bound may fall along a motion by at most the motion's cost. So minus its gradient lies in the set whose
-    support function is that cost: a ball for a length, a product of balls for a sum over blocks, and with pulls a
-    ball moved along the segment between them. Coordinates are such that a step of length 1 in a block costs 1.
+    support function is that cost: a ball for a length, a product of balls for a sum of norms over groups of axes
+    (``blocks``), and with pulls a ball moved along the segment between them. Coordinates are such that a step of
+    length 1 along the axes of one group costs 1.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -164,11 +167,11 @@ class SlopeSets:
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
-        """Return lengths of vectors in each block."""
+        """Return, for each group of axes that share one norm, the lengths of the vectors' parts in the group."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
-        """Return the nearest vectors in the sets."""
+        """Return the nearest vectors that are admissible gradients."""
         offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
@@ -183,7 +186,7 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return factors, below 1 in the sets, division by which puts vectors in the sets."""
+        """Return factors, division by which makes vectors admissible gradients: at most 1 for vectors that are."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -192,7 +195,7 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the cost of motion against a flow, which is toward the goal."""
+        """Return the cost of motion against a flow; motion against the flow leads toward the goal."""
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
@@ -212,7 +215,7 @@ _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Values of the degrees of freedom, and the flow at the control points."""
+    """Values of the degrees of freedom, and the flow at the control points (where gradients are bounded)."""
 
     values: Dofs
     flow: Vectors
@@ -220,10 +223,11 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class SlopeProgram:
-    """The program on one finite-element space.
+    """The program for the largest lower bound, on one finite-element space.
 
     Attributes:
-        gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of the sets.
+        gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of `sets`.
+        volume: Share of its cell's volume of each control point.
         weight: The integral of each basis function.
         goal: Maps degrees of freedom to the value at the goal.
         at: The goal, a fraction of the domain.
@@ -258,12 +262,10 @@ class SlopeProgram:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.space.mesh.dim
 
     @cached_property
     def sets(self) -> SlopeSets:
-        """The admissible gradients at each control point."""
         cell = np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
         return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
@@ -273,15 +275,15 @@ class SlopeProgram:
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """Return the control vectors, in the coordinates of the sets."""
+        """Return the control vectors of a function, which enclose its gradient, in the coordinates of `sets`."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
-        """Return mean control vectors of open cells, in the coordinates of the sets."""
+        """Return the mean gradient in each cell that is not blocked, in the coordinates of `sets`."""
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return the function of :func:`rescaling_of` that makes these values admissible, rounding included."""
+        """Return the function of :func:`rescaling_of` that makes slopes of ``u`` admissible, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -289,9 +291,11 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return for each open cell the largest cost of its flow, minus the gain in value unless it is mixed.
+        """Return each open (not blocked) cell's share of the gap between the lower bound and the cost of the flow.
 
-        The sum is about the integral of the truth minus the lower bound.
+        It is the volume times the upper bound of the cost of the flow through the cell, minus the rise of the lower
+        bound along the flow (0 in mixed cells), at least 0. The sum approximates the integral of the true cost-to-go
+        minus the lower bound.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -302,10 +306,10 @@ class SlopeProgram:
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def loss_at_goal(self, iterate: Iterate) -> float:
-        """Return the loss in the goal's cell if what arrives at its nodes went straight to the goal.
+        """Return the gap in the goal's cell if the flow that reaches the cell's nodes went straight to the goal.
 
-        Inside this cell, inflow on one side may leave on the other. Such a flow gains all its cost, though values
-        behind the goal are as far below 0 as they should be above.
+        Inside this cell, inflow on one side may leave on the other. Such a flow has no gap, though values behind the
+        goal are as far below 0 as they should be above.
         """
         space, mesh = self.space, self.space.mesh
         home = int(mesh.locate(self.at[None])[0])
@@ -317,7 +321,7 @@ class SlopeProgram:
         return float(self.volume[within] @ climbed + self.weight.sum() * (self.goal @ excess))
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Iterate, with penalties set to the flow before the iterations ``factor_at``; None starts at 0."""
+        """Iterate from a start (None: 0). Before the iterations ``factor_at``, penalties are rescaled to the flow."""
         if start is None:
             start = Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
         state = _Splitting(self, start, _LEAST_PENALTY)
@@ -328,7 +332,7 @@ class SlopeProgram:
         return state.iterate
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
-        """Return the best admissible iterate, and whether values had stopped rising before the limit."""
+        """Return the best iterate found, and whether its bound had stopped rising before the limit."""
         state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
@@ -346,7 +350,7 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
 
-    ``z`` is the projection to the sets of the gradients of the values ``u``; ``penalty * y`` is the flow.
+    ``z`` is the projection to the admissible gradients of the gradients of ``u``; ``penalty * y`` is the flow.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -381,7 +385,7 @@ class _Poisson:
     """The Poisson equation of an iteration, with the first degree of freedom fixed to 0.
 
     In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
-    algebraic multigrid reduce the residual of the last solution.
+    algebraic multigrid improve the last solution.
     """
 
     def __init__(self, program: SlopeProgram, penalty: PerControl):

@@ -1,6 +1,7 @@
 """Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
 
-A convex program gives the lower bound. It is solved on meshes that are refined where its flow loses most.
+A convex program (``program.py``) gives the lower bound. It is solved on meshes that are refined where the lower bound
+is estimated to be farthest below the truth.
 """
 
 import math
@@ -31,12 +32,12 @@ from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap,
 # Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
-_LEAVES_PER_BYTE = 2  # more than in any file
-_BYTES_A_CELL = 4_000  # of memory, at the least
+_LEAVES_PER_BYTE = 2  # no file has more leaves per byte
+_BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 # Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
 _CUT_OFF_SPLITS = 6
-_LEAST_COST = 1e-30  # that 32 bits resolve
-# Share of the domain by which a goal may lie outside, as goals free to a tolerance may.
+_LEAST_COST = 1e-30  # least cost that 32 bits resolve
+# Share of the domain's width by which a goal may lie outside: a space may count such goals as free.
 _BESIDE = 1e-6
 
 
@@ -63,8 +64,8 @@ def solve_eikonal(
 
     - The lower bound is the largest function that is 0 at the goal, continuous across every face that is not proven
       blocked, and nowhere steeper than a step costs. The straight line to the goal is a lower bound too.
-    - The upper bound is the cost of paths through cells that are proven free, and among voxels of paths from voxel to
-      voxel. It is ``inf`` where no path was found.
+    - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
+      voxel to voxel. It is ``inf`` where no path was found.
 
     Args:
         space: The configuration space: what is free, and what motions cost. If it only tests configurations
@@ -82,22 +83,22 @@ def solve_eikonal(
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves. It has planes if it is not certified and motions of several blocks of axes add
-        up, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the goal. The PLR does not test
-        collision, so it may be finite in obstacles, and at points cut off from the goal within a 64th of the domain
-        of points that reach it.
+        The PLR, of continuous leaves. Leaves are planes instead if ``certified=False`` and the cost of motions is the
+            sum of norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path
+            leads to the goal. The PLR does not test collision, so it may be finite in obstacles, and at points cut
+            off from the goal within a 64th of the domain of points that reach it.
 
     Warns:
-        ConstructionInterrupted: If interrupted (Ctrl-C) after a first solution, of which the PLR then is.
+        ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
         UserWarning: If the lower bound, though proven, was still rising at the last iteration; or if the estimate was
             more than a tenth outside of its bounds, where the nearer bound replaces it.
 
     Raises:
         ValueError: If ``space`` is no space, the goal is not free, a limit is out of its range, or bounds of the cost
             map are not positive and finite. If a limit is too small for one leaf, for four cells along each periodic
-            axis, for cells at most 200,000 times as long as wide, or for samples in all open cells. If
-            ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees the goal.
-            If a directional cost map comes with a space whose costs are no lengths.
+            axis, for cells at most 200,000 times as long as wide, or for samples to meet all cells that are not
+            blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
+            sees the goal. If a directional cost map comes with a space whose costs are no lengths.
 
     References:
         Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.
@@ -158,7 +159,7 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
     """Return the largest error of each leaf, and more for large leaves that are cut off from the goal.
 
     A leaf that no path joins to the goal borrows the function of an adjacent leaf, for points that rounding places in
-    it. If it holds free points, it must be small, since these should answer ``inf``.
+    it. If it contains free points, it must be small, since these should answer ``inf``.
     """
     error = largest_error(fit)
     inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # samples on faces may see the other side of a wall
@@ -205,32 +206,33 @@ def _field(
     return CostToGoField(program, solver.values, paths, nodal_estimate, space, guide)
 
 
-# Share of the cells in the first mesh, and least number: in a single cell, flows to a goal in its middle cancel.
+# Share of all cells in the first mesh, and its least number of cells: in a single cell, flows to a goal in its middle
+# cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
-_SHARE = 0.8  # of the loss, in the refined cells
-# If mixed cells have more than the first share of the loss, flows leak through walls. Some cells are then left for
-# later, unless fewer than the second share of all are left.
+_SHARE = 0.8  # share of the loss (gap) in the cells that are refined together
+# If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
+# unless fewer than `_LAST` of all are left.
 _LEAKING, _LAST = 0.1, 0.01
 # Least and largest factor by which a refinement multiplies the number of cells.
 _GROWTH = 1.3, 2.0
-# Iterations on the first mesh, on later ones, and at the end.
+# Iterations on the first mesh, on each later mesh, and most iterations at the end on the last mesh.
 _FIRST, _NEXT, _MOST = 100, 20, 1000
-# Iterations on the first mesh before which penalties are set to the flow.
+# After these iterations of the first solve, penalties are rescaled to fit the flow.
 _FACTORED_FIRST = (20, 40, 80)
-# Largest factor of a loss for the detour that it hides.
+# Largest factor by which a suspected thin wall raises a cell's loss.
 _DETOUR = 16
-# Most splits along an axis, if a query's tables resolve as many.
+# Most halvings of a cell along an axis, if a query's tables resolve as many.
 _DEEPEST = 13
-_INSET = 1e-9  # of points from the faces of a cell, as a share of it
+_INSET = 1e-9  # distance of points from the faces of a cell, as a share of its width
 Point = Float[np.ndarray, "dim"]
 
 
 class SlopeSolver:
-    """The slope program on meshes that become finer.
+    """The program for the lower bound, solved on meshes that become finer.
 
     Attributes:
         goal: The goal, a fraction of the domain.
-        tolerance: Mean loss at which the mesh is fine enough.
+        tolerance: Mean gap to the truth at which the mesh is fine enough.
         program: The program on the finest mesh so far.
         iterate: Its solution; None before there is one.
     """
@@ -243,21 +245,20 @@ class SlopeSolver:
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goal)
         self.iterate: Iterate | None = None
-        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # what mixed cells count as
+        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # state that each mixed cell counts as
 
     @property
     def mesh(self) -> Mesh:
-        """The finest mesh so far."""
         return self.program.space.mesh
 
     @property
     def values(self) -> Float[np.ndarray, "dofs"]:
-        """The solution, 0 at the goal."""
+        """The values of the solution, shifted to 0 at the goal."""
         assert self.iterate is not None
         return self.iterate.values - self.program.goal @ self.iterate.values
 
     def refine(self, progress: tqdm) -> None:
-        """Solve and refine in turn, up to the limit; then solve to convergence."""
+        """Solve and refine in turn, up to the limit of cells; then solve to convergence."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds
@@ -282,7 +283,7 @@ class SlopeSolver:
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
-            # Keep what old cells count as.
+            # Cells that are not new keep their answer (free or blocked) to whether paths pass through.
             before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
             is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
             self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
@@ -298,8 +299,8 @@ class SlopeSolver:
     def mesh_without_mixed(self) -> Mesh:
         """Return the mesh with each mixed cell counted as free or blocked.
 
-        It counts as free if the straight motion through its middle along the slope is free, by the slope when it was
-        new.
+        A mixed cell is free if the straight motion through its middle, along the gradient of the lower bound, is
+        free. The answer is kept from the mesh in which the cell first appeared.
         """
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
@@ -314,7 +315,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return the cells to refine, in order of their loss, and how many cells this may add."""
+        """Return the cells to refine, mostly in order of their loss (gap), and how many cells this may add."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goal = self.program.losses(iterate), self.program.loss_at_goal(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
@@ -344,7 +345,7 @@ class SlopeSolver:
         return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
 
 
-# Samples of a box, and of a motion.
+# Numbers of samples of a box, and of a motion.
 _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33
 
 
@@ -359,14 +360,13 @@ class SampledSpace(CheckedSpace):
         return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
 
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
-        """Return free or blocked if all samples of a box are, else mixed."""
+        """Return the state of each box: free or blocked if all its samples are, else mixed."""
         x = lo[:, None] + (hi - lo)[:, None] * self._samples
         free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether all samples of straight motions are free."""
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
         free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])

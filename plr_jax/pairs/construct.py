@@ -3,9 +3,9 @@
 1. Round the boundary of free space to a lattice and find the corners that shortest paths may join.
 2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
 
-A query tries the listed corners one by one and drops those that its point does not see. Only corners that a part of
-the cell sees can fail. So the cells with the largest product of free area and number of such corners are halved
-first.
+A query tries the corners that its point's leaf lists, and drops those that the point does not see. Only corners that
+see a part of the leaf, but not all of it, can be tried in vain. So the cells with the largest product of free area
+and number of such corners are halved first.
 """
 
 from collections.abc import Callable
@@ -37,14 +37,14 @@ from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
-_SLACK = 8  # workspace tolerances by which visibility may err
+_SLACK = 8  # number of workspace tolerances by which visibility may err
 _FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 
 
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """Return the outline of a boundary, and the vertex at each of its points."""
+    """Return the outline of a boundary, rounded to a lattice, and the boundary vertex at each outline point."""
     # 1. Find the next edge of each edge's ring: the edge whose sector it closes. If paths may squeeze through
     #    contacts, it is the next edge around the same obstacle instead.
     edges = boundary.edges
@@ -78,10 +78,10 @@ def outline_of(
 
 
 def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
-    """Round points to integers, but move points whose place is taken to a neighbor place.
+    """Round points to integers; a point whose place is taken moves to a free neighbor, away from the other point.
 
-    They move in their direction from the other point. Only the ends of a short edge share a place. So a place of
-    several walls is a contact, and narrow gaps stay open.
+    Only the ends of edges that round to nothing share a place (or, rarely, points with all eight neighbors taken). So
+    walls that merely come close stay apart, and walls with a common place really touch.
     """
     points, num = np.rint(x).astype(np.int64), len(x)
     short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
@@ -102,9 +102,9 @@ def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, 
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
-    """Return the widest lattice step that keeps points distinct and moves none of them by more than the tolerance.
+    """Return the largest lattice step that keeps points distinct and moves no coordinate by more than the tolerance.
 
-    Steps are powers of two or ten. If no step fits, return the finest.
+    Steps are powers of two or ten. If no step fits, return the finest: about ``2**-24`` of the width.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
@@ -117,18 +117,15 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
 
 
 _SHARE = 0.25  # share of the largest key above which cells are halved together
-_IN_VAIN = 0.1  # invisible listed corners per point, on average; queries get no faster with fewer
+_IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer make queries no faster
 
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Cells with their lists of corners.
+    """Cells, and for each the list of the corners at which shortest paths from it may turn first.
 
-    Attributes:
-        cells: The cells.
-        cell: Cell of each list entry, ascending.
-        corner: Corner of each entry.
-        by_all: Whether the entire cell sees the corner.
+    ``cell`` (ascending) and ``corner`` belong to each list entry; ``by_all`` tells whether all of the cell is known
+    to see the corner.
     """
 
     cells: Cells
@@ -137,13 +134,11 @@ class Lists:
     by_all: Bool[np.ndarray, "entries"]
 
     def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
-        """Return the lists of some cells."""
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
         entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
-        """Return these cells and lists, followed by others."""
         return Lists(
             self.cells.append(other.cells),
             np.concatenate([self.cell, len(self.cells) + other.cell]),
@@ -154,14 +149,12 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """Nodes of the partition so far, with their lists.
+    """A partition during construction, with the corner lists of all nodes of its tree.
 
     Attributes:
-        lists: Lists of all nodes.
-        key: Priority of halving each node, at most that of its parent.
-        is_leaf: Which nodes are leaves.
-        parent: Parent of each node, -1 for the root.
-        visible: Visible corners of the leaves, in order.
+        key: Priority of halving each node, at most that of its parent, whose index is in ``parent`` (-1 for the
+            root).
+        visible: The free convex pieces of each leaf, in the order of leaves, and the corners that each piece may see.
     """
 
     lists: Lists
@@ -174,7 +167,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the leaves of the tree in which only nodes with larger keys are halved."""
+        """Return the lists of the leaves that remain if only nodes with larger keys than this are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -183,7 +176,11 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells until the file reaches the byte limit or no cell is worth halving; return the leaves."""
+    """Halve cells until that saves queries little or a limit is passed, then undo the least useful halvings.
+
+    Halvings are undone until the file fits into ``limits.max_bytes`` and has at most ``most_leaves`` leaves; the root
+    always stays. ``num_bytes`` returns the size of the file for given lists. Returns the lists of the leaves.
+    """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
 
@@ -227,9 +224,10 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
-    """Return the lists of cells, and for each cell the product of its free area and number of partly visible corners.
+    """Return corner lists of cells, and each cell's key: its free area times its number of partly visible corners.
 
-    This key is 0 for cells that may not be halved.
+    Keys are 0 for cells that may not be halved. A corner is partly visible if only a part of the cell is known to see
+    it.
     """
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
@@ -243,13 +241,13 @@ def corners_seen(
     lo: Float[np.ndarray, "cells 2"],
     hi: Float[np.ndarray, "cells 2"],
 ) -> CellSources:
-    """Return the corners at which shortest paths from boxes may turn first; each box is a cell."""
+    """Return the convex free pieces of boxes, and the corners where shortest paths from each piece may turn first."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
-    """Return the contents and the bytes of the file of pairs of a workspace."""
+    """Build the file of a workspace's PairPLR; return its decoded contents and its bytes."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
@@ -310,7 +308,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls that may leave their obstacle when they move back, because it is thin."""
+    """Return the walls that may come close to free space when they move back, because their obstacle is thin."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -318,10 +316,7 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are corners, ascending, and the rank among them of each workspace corner.
-
-    If a corner has several outline points, choose the point that sticks out into free space.
-    """
+    """Return the outline points that are corners, ascending, and each workspace corner's place among them."""
     number = {tuple(point): i for i, point in enumerate(corners.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
     order = np.argsort(~outline.is_reflex, kind="stable")

@@ -1,21 +1,20 @@
 """Distances between all corners of a grid, by vertex elimination on the graph of corners that see each other.
 
-1. Eliminate corners one by one, always one with the fewest neighbors. Join its neighbors by edges as long as the path
-   over it.
-2. Compute distances in reverse order. A shortest path from a corner to corners eliminated later leads over one of its
-   neighbors. So its row is a minimum over a few known rows; a search would visit all corners.
+1. Eliminate corners one by one, mostly one with the fewest neighbors. Join its neighbors by edges as long as the path
+   through it, unless shorter edges join them.
+2. Compute distances in reverse order. Shortest paths from a corner to corners eliminated later lead through a
+   neighbor that it had when it was eliminated. So its distances are minima over a few known rows of the distance
+   matrix.
 
-Lengths are whole numbers, so that rows do not depend on the order of sums.
-
-The *parent* of a corner is the first eliminated of its neighbors at its elimination; *ancestors* are parents of
-parents, and so on. Every path between two corners passes a common ancestor. All distances are kept for up to
-:data:`MOST_IN_TABLE` corners; for more corners, only distances to ancestors, which are few on maps with narrow
-passages.
+Lengths are whole numbers of units (:data:`STRAIGHT`), so they do not depend on the order of sums. A corner's *parent*
+is the neighbor that is eliminated next; its *ancestors* are the corner itself, its parent, and so on. Every path
+between two corners passes a common ancestor. All distances are kept for up to :data:`MOST_IN_TABLE` corners; for more
+corners, only distances to ancestors, which are few on maps with narrow passages.
 
 References:
     D. J. Rose, R. E. Tarjan and G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput.
-    5(2), 1976. J. Dibbelt, B. Strasser and D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016.
-    D. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
+        5(2), 1976. J. Dibbelt, B. Strasser and D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016.
+        D. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
 """
 
 import heapq
@@ -41,10 +40,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return the length in units of a shortest path on an empty grid, from row and column offsets.
-
-    Offsets are at least 0, NumPy or JAX. A diagonal step of a 4-connected grid counts as two straight steps.
-    """
+    """Return the length in units of a shortest path between cells some rows and columns apart on an empty grid."""
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -67,14 +63,15 @@ _Cells = Int[np.ndarray, "pairs"]
 
 
 def corner_cells(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Return which cells are corners: free, with a blocked diagonal neighbor and both cells beside it free."""
+    """Return which cells are corners: free, with a blocked diagonal neighbor and two free cells between them."""
     return np.logical_or.reduce(_blocked_diagonals(free))
 
 
 def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> tuple[_Cells, _Cells]:
-    """Return the pairs of corners that see each other with no corner in between.
+    """Return the pairs of corners that see each other with no corner in between: lower numbers, then higher numbers.
 
-    Corners are numbered in row-major order. Each pair appears once, the lower number first.
+    Two cells see each other if obstacles block no shortest path of an empty grid between them. Corners are numbered
+    in row-major order.
     """
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
@@ -95,8 +92,8 @@ def taut_corners(
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
     """Return the corners that each cell sees and is taut at, with no such corner in between.
 
-    Cells and corners are numbered in row-major order. The first result is the index of each cell's first corner, the
-    second the corners. Raises ``ValueError`` if a byte for each pair is too much.
+    A cell is taut at a corner if a shortest path from it can bend there around a blocked cell. Returned are the index
+    of each cell's first corner, then the corners, both in row-major order. ``ValueError`` if they exceed 2**30.
     """
     from scipy.sparse import csr_array
 
@@ -144,10 +141,10 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
-    """A view of a grid in which a sector of every corner extends to higher rows and columns.
+    """A grid flipped or transposed so that one quadrant or octant of every corner extends to higher rows and columns.
 
-    ``origin`` and the steps map rows and columns of the view to cell numbers of the grid. Two sectors share the cells
-    straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which one owns them.
+    ``origin`` and the steps map rows and columns of this view to cell numbers of the grid. Two sectors share the
+    cells straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which sector owns them.
     """
 
     free: Bool[np.ndarray, "rows columns"]
@@ -195,7 +192,7 @@ def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Itera
 def _scan(
     sector: _Sector, ends_row: Bool[np.ndarray, "rows columns"], ends_later: Bool[np.ndarray, "rows columns"]
 ) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, row by row, the corners, their numbers of visible cells ahead, and the steps aside.
+    """Yield, row by row, the corners that still see cells in it, their numbers of visible cells, and the steps aside.
 
     A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in
     ``ends_later``.
@@ -221,7 +218,7 @@ def _scan(
 
 
 def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Return the steps from each cell of a row, and from past its end, to the next wanted cell or the border."""
+    """Return, for each cell and each row's end, the steps along the row to the next wanted cell or the border."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)
@@ -229,7 +226,7 @@ def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "ro
 
 
 def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndarray, "4 rows columns"]:
-    """Return for each diagonal direction whether paths can pass around a cell's neighbor."""
+    """Return, for each diagonal direction, which free cells have a blocked neighbor there to bend paths around."""
     rows, columns = free.shape
     around = np.pad(free, 1)
 
@@ -239,26 +236,26 @@ def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndar
     return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
 
 
-_NO_PATH = FAR + 2**20  # small differences keep it above FAR
+_NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
 _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
 _ANCESTOR_BYTES = 8
 
 
 def looked_up(table: Shaped[Array, "rows ..."], index: Int[Array, "*n"]) -> Shaped[Array, "..."]:
-    """Return rows of a table by indices that are certainly valid."""
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between corners in units, compressed as distances between centers plus small differences.
+    """Distances between corners, stored as distances between a few chosen corners (centers) plus small differences.
 
     Attributes:
-        center: Center of each corner, which a short path joins to it.
-        between_centers: Distances between centers, at least :data:`FAR` without a path.
-        differences: Distance minus that of the centers, for each corner and the corners up to it, as triangle rows.
+        center: Index of each corner's center, which is near it.
+        between_centers: Distances between centers in units (:data:`STRAIGHT`), at least :data:`FAR` without a path.
+        differences: Distance of two corners minus that of their centers, for each corner and all up to it, row by
+            row.
     """
 
     center: Integer[Array, "corners"]
@@ -276,12 +273,9 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances from corners to their ancestors in units, from the last eliminated ancestor to the corner itself.
+    """Distances in units from each corner to its ancestors in the elimination order, the corner itself last.
 
-    Attributes:
-        first: Index of the first ancestor of each corner, then the number of entries.
-        ancestor: Ancestors of all corners.
-        length: Distances to them.
+    ``first`` is the index of each corner's first entry in ``ancestor`` and ``length``, the distance to that ancestor.
     """
 
     first: Int32[Array, "corners_plus_one"]
@@ -289,7 +283,7 @@ class CornerLabels:
     length: Int32[Array, "ancestors"]
 
     def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
-        """Return distances between corners: the least sum over common ancestors."""
+        """Return distances between corners in units: the smallest sum of their distances to a common ancestor."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         common = jnp.minimum(
             *(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b))
@@ -319,12 +313,7 @@ _Edges = list[dict[int, int]]
 
 
 def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
-    """Return distances between all corners of a grid, in row-major order.
-
-    Raises:
-        ValueError: If path lengths exceed 30 bits, tables exceed their byte limit, or elimination would take minutes
-            because many corners lie in wide passages.
-    """
+    """Return distances between all corners of a grid, in row-major order; ``ValueError`` if there are too many."""
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
     if most < 0:
         raise ValueError(_TOO_LONG)
@@ -374,9 +363,10 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
-    """Return an elimination order, and the neighbors that each corner has at its elimination.
+    """Eliminate all corners; return their order, and each corner's neighbors (with distances) at its elimination.
 
-    Among corners with equally few neighbors, take those with few ancestors below them first: chains stay short.
+    The next corner has the smallest sum of its number of neighbors and its level, the length of the longest chain of
+    eliminated corners below it. So chains of ancestors stay short.
     """
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]

@@ -3,17 +3,17 @@
 #define PLR_JAX_@NAME@_H
 /* Shortest paths between all pairs of cells of a grid of @ROWS@ x @COLUMNS@, @CONNECTIVITY@-connected, by plr_jax.
 
-   @NAME@_open: takes the @SIZE@ bytes of the file of tables, mapped or read, at an address that 64 divides; 0 if they
-   are not those of this header, else 1. It must have returned 1, in each file of code that includes this, before
-   anything else is called. The bytes must stay where they are.
+   @NAME@_open: takes the @SIZE@ bytes of the file of tables, mapped or read, at an address that 64 divides. Returns 1,
+   or 0 if the bytes do not belong to this header. Each file of code that includes this header must call it, with
+   result 1, before the other functions. The bytes must stay where they are.
    @NAME@_check: whether the bytes are undamaged; it reads all of them.
-   @NAME@_steps: how many steps a shortest path has between cells, of which the one in row r and column c has the
-   number @COLUMNS@ r + c; on 8-connected grids its length in steps, rounded down. -1 if no path joins them, one is
-   blocked, or is no cell.
-   @NAME@_units: the same in units of which a step has @UNIT@ and a diagonal one @DIAGONAL@, not rounded.
-   @NAME@_steps_of_pairs: of n pairs.
+   @NAME@_steps: length in steps of a shortest path between two cells, rounded down on 8-connected grids. The cell in
+   row r and column c has the number @COLUMNS@ r + c. -1 if no path joins the cells, or a cell is blocked or does not
+   exist.
+   @NAME@_units: the same, not rounded, in units: a straight step has @UNIT@, a diagonal step @DIAGONAL@.
+   @NAME@_steps_of_pairs: the same as @NAME@_steps for n pairs of cells.
 
-   All but @NAME@_open may be called by many threads at once. Nothing is allocated. */
+   All functions but @NAME@_open may be called by many threads at once. They allocate nothing. */
 
 #include <stddef.h>
 #include <stdint.h>
@@ -62,7 +62,7 @@ static inline int @NAME@_is_free(uint32_t cell)
 }
 @SIGHT@
 @DISTANCES@
-/* Corners of a cell, how far it is from each, and the open way from there to another cell. */
+/* The corners that a cell lists, its distance from each, and each one's distance on an empty grid to another cell. */
 static inline uint32_t @NAME@_corners(
     uint32_t cell, int32_t row, int32_t column, int32_t to_row, int32_t to_column, int32_t *corner, int32_t *leg,
     int32_t *way)
@@ -74,7 +74,7 @@ static inline uint32_t @NAME@_corners(
         const int32_t c = @NAME@_blocks(i);
         const int32_t r = @NAME@_row((uint32_t)c), k = @NAME@_column((uint32_t)c);
         if (count && corner[count - 1] == c)
-            break; /* what fills the last block */
+            break; /* padding of the last block */
         corner[count] = c;
         leg[count] = @NAME@_open_length(r - row, k - column);
         way[count++] = @NAME@_open_length(r - to_row, k - to_column);
@@ -100,7 +100,7 @@ static inline int32_t @NAME@_units(uint32_t from, uint32_t to)
     for (uint32_t i = 1; i < count; ++i)
         if (leg[i] + way[i] < leg[nearest] + way[nearest])
             nearest = i;
-    /* The nearest first, in the place of the first. No path over a corner is shorter than the open way over it. */
+    /* Swap the nearest with the first. No path through a corner is shorter than on an empty grid. */
     for (uint32_t i = 0; i < count; ++i) {
         const uint32_t k = i == 0 ? nearest : i == nearest ? 0 : i;
         if (leg[k] + way[k] >= best)
@@ -112,7 +112,7 @@ static inline int32_t @NAME@_units(uint32_t from, uint32_t to)
             }
         }
         if (best >= @FAR@)
-            return -1; /* if no path joins these corners none joins any */
+            return -1; /* if no path joins these corners, no path joins any */
     }
     return best;
 }
@@ -132,7 +132,7 @@ static inline void @NAME@_steps_of_pairs(const uint32_t *from, const uint32_t *t
 #endif
 @@ sight 4
 
-/* Whether the rectangle between free cells is free: sums of blocked ones above and before each tell. */
+/* Whether the rectangle between free cells is free, by prefix sums of blocked cells. */
 static inline int @NAME@_sees(int32_t row, int32_t column, int32_t to_row, int32_t to_column)
 {
     const uint32_t top = (uint32_t)(row < to_row ? row : to_row) * (@COLUMNS@u + 1u);
@@ -143,8 +143,8 @@ static inline int @NAME@_sees(int32_t row, int32_t column, int32_t to_row, int32
 }
 @@ sight 8
 
-/* Whether all steps in the parallelogram between free cells are legal, in a view of the grid in which it leads to
-   higher rows and columns, by no fewer columns than rows: sums over rows and slanted columns tell. */
+/* Whether all steps in the parallelogram between free cells are legal, by prefix sums over rows and slanted columns.
+   The grid is flipped so that steps lead to higher rows and columns, by no fewer columns than rows. */
 static inline int @NAME@_sees(int32_t row, int32_t column, int32_t to_row, int32_t to_column)
 {
     const int transposed = @NAME@_abs(to_row - row) > @NAME@_abs(to_column - column);
@@ -186,7 +186,7 @@ static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
     return @NAME@_between_centers(center * @CENTERS@u + other) + @NAME@_differences(high * (high + 1) / 2 + low);
 }
 @@ distances by labels
-/* The least sum over common ancestors, which are those that lists of ancestors begin with. */
+/* The least sum over common ancestors: both lists of ancestors begin with them. */
 static inline int32_t @NAME@_between_corners(int32_t a, int32_t b)
 {
     uint32_t i = (uint32_t)@NAME@_first((uint32_t)a), j = (uint32_t)@NAME@_first((uint32_t)b);

@@ -12,9 +12,8 @@ The file holds only the grid; everything else follows from it. All numbers are l
             above the first row all are blocked
     u32     CRC-32 of all previous bytes
 
-For C99 there is a header with the code of a query, and a file of tables that a program maps. A query is that of
-``grid_query.py`` in integers. The header holds constants of the grid. The tables follow one another in the file, each
-aligned to 64 bytes.
+C99 code is a header, with constants of the grid, that makes the queries of ``grid_query.py`` in integers. It reads a
+file of tables, one after another, each aligned to 64 bytes.
 """
 
 import re
@@ -56,7 +55,6 @@ _C_MAGIC = b"plr_jax grid 1\n\0"
 
 
 def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
-    """Return the bytes of a grid's file."""
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
     size = _HEADER.size + len(body) + _CRC.size
     data = _HEADER.pack(GRID_MAGIC, _VERSION, connectivity, *free.shape, size) + body
@@ -64,7 +62,7 @@ def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> by
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
-    """Return the grid and connectivity of a file; raise ``ValueError`` with the reason if that fails."""
+    """Return the free cells and the connectivity of a file; raise ``ValueError`` with the reason if that fails."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
@@ -89,12 +87,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
 
 @dataclass(frozen=True, eq=False)
 class GridHeader:
-    """A C header and the file that it reads.
-
-    Attributes:
-        text: Text of the header.
-        table: Bytes of the file.
-    """
+    """The ``text`` of a C header, and the bytes of the file (``table``) that its code reads."""
 
     text: str
     table: bytes
@@ -105,10 +98,8 @@ class GridHeader:
 class DistanceToCell:
     """Distance to one cell of a grid, a `DistanceFn` made by :meth:`GridPairs.to`.
 
-    Attributes:
-        tables: Tables of all pairs.
-        goal: Row and column of the cell.
-        from_goal: Distance, in units, from the cell to each corner, through corners.
+    ``goal`` is the row and column of the cell. ``from_goal`` holds, for each corner of obstacles, the length in units
+    of the shortest path to it by way of a corner that the goal's cell lists.
     """
 
     tables: GridTables
@@ -131,17 +122,7 @@ class DistanceToCell:
         return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances to the goal, bit for bit those of :meth:`GridPairs.__call__`.
-
-        Args:
-            x: Points, ``(..., 2)``.
-
-        Returns:
-            Distances in steps, ``(...)``; ``inf`` as for :meth:`GridPairs.__call__`.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
-        """
+        """Return distances in steps from points ``(..., 2)`` to the goal, bit for bit as :class:`GridPairs` does."""
         return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
 
 
@@ -150,18 +131,13 @@ class DistanceToCell:
 class GridPairs:
     """Lengths of shortest paths between any two cells of a grid, never above the truth.
 
-    Made by :func:`construct_grid_pairs`. The file holds only the map, in one or two kilobytes for a quarter of a
-    million cells. Corners of obstacles, their distances and the corner lists of cells are computed again on loading.
-    That takes as long as construction: a second, or a few for two million cells.
+    Made by :func:`construct_grid_pairs`: a pytree of arrays, which a jitted function can close over or take as an
+    argument. The ``file``, which :func:`save` writes, holds only the map, in one or two kilobytes for a quarter of a
+    million cells. On loading, the ``tables`` that a query reads are built again, in about a second, or a few for two
+    million cells.
 
-    Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than 1e-6 of
-    themselves; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
-
-    GridPairs is a pytree of arrays: a jitted function can close over it or take it as an argument.
-
-    Attributes:
-        tables: The tables that a query reads.
-        file: The bytes that :func:`save` writes.
+    Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than a millionth;
+    whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
     """
 
     tables: GridTables
@@ -172,21 +148,12 @@ class GridPairs:
         return f"GridPairs({rows} x {columns} cells, {self.tables.connectivity}-connected, {self.num_bytes} bytes)"
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the number of steps, or the length, of a shortest path between the cells of points.
+        """Return lengths of shortest paths between the cells of points; diagonal steps (if any) count ``sqrt(2)``.
 
-        Answers are symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
-
-        Args:
-            x: Points, ``(..., 2)``. The cell in row ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and
-                ``r <= y < r + 1``.
-            y: Points that broadcast against them.
-
-        Returns:
-            Distances, ``(...)``; ``inf`` if no path joins the cells, a cell is blocked, or a point is outside the
-            grid or NaN.
-
-        Raises:
-            ValueError: If the shapes do not fit.
+        Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
+        ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are
+        symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or
+        a point is outside the grid or NaN. A function is compiled for each shape of points.
         """
         points = _as_points("x", x), _as_points("y", y)
         try:
@@ -196,40 +163,28 @@ class GridPairs:
         return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Return proven bounds of the length of a shortest path.
+        """Return proven lower and upper bounds, ``(...)`` each, of the lengths of shortest paths.
 
-        The lower bound is the answer of a call; the upper bound adds what rounding may take off.
-
-        Args:
-            x: Points, as for a call.
-            y: Points that broadcast against them.
-
-        Returns:
-            Lower and upper bounds, ``(...)`` each; equal on 4-connected grids.
-
-        Raises:
-            ValueError: As for a call.
+        Points are given as for a call. The lower bound is the answer of a call. The upper bound is equal on
+        4-connected grids; on 8-connected grids it adds what rounding may have taken off.
         """
         lower = self(x, y)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
-        """Return steps to goals from all cells in squares around agents.
+        """Return path lengths in whole steps to goals from all cells in squares around agents.
 
         A function is compiled for each number of agents and radius. It works inside jitted functions.
 
         Args:
-            goals: A point in the goal cell of each agent, ``(n, 2)``.
+            goals: A point in the goal cell of each agent, ``(n, 2)``, else ``ValueError``.
             positions: A point in the cell of each agent, ``(n, 2)``.
-            radius: Cells on each side of an agent, at least 0.
+            radius: Cells on each side of an agent, an integer of at least 0, else ``ValueError``.
 
         Returns:
-            Distances in steps, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. On 8-connected
-            grids they are rounded down to whole steps. A cell has -1 if no path leads from it to the goal, if it is
-            blocked or outside the grid, and if the agent or the goal is outside the grid or the goal is blocked.
-
-        Raises:
-            ValueError: If the points have other shapes, or the radius is not an integer of at least 0.
+            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. A cell has
+                -1 if no path leads from it to the goal, if it is blocked or outside the grid, and if the agent or the
+                goal is outside the grid or the goal is blocked.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
@@ -241,16 +196,9 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Return the distance to one cell; its queries are several times as fast.
+        """Return the distance function of one goal cell; its queries are several times as fast.
 
-        Args:
-            goal: A point of the cell, ``(2,)``.
-
-        Returns:
-            The distance function.
-
-        Raises:
-            ValueError: If the goal is not in a free cell.
+        The goal is a point ``(2,)`` of the cell; ``ValueError`` if it is not in a free cell.
         """
         goal = as_finite_point("The goal", goal, 2)
         if not np.isfinite(self(goal, goal)):
@@ -275,7 +223,7 @@ class GridPairs:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners of obstacles with stored distances."""
+        """Number of corners of obstacles."""
         return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
@@ -287,16 +235,7 @@ class GridPairs:
 
         ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their numbers in row-major order. Programs
         map the file (``mmap``) or read it, and pass its bytes to ``NAME_open``. The code allocates nothing and is
-        safe in threads.
-
-        Args:
-            name: Prefix of all definitions, a C identifier.
-
-        Returns:
-            The ``text`` of the header, and the bytes of its ``table``.
-
-        Raises:
-            ValueError: If the name is not a C identifier.
+        safe in threads. ``name``, a C identifier (else ``ValueError``), replaces NAME in all definitions.
         """
         require_identifier(name)
         tables = self.tables
@@ -352,19 +291,10 @@ class GridPairs:
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
-        """Restore pairs from the result of :meth:`to_bytes`; they answer the same, bit for bit.
+        """Restore a GridPairs from the result of :meth:`to_bytes`; it answers the same, bit for bit.
 
-        This takes as long as construction. An interrupt (Ctrl-C) discards the work.
-
-        Args:
-            data: The bytes.
-
-        Returns:
-            The distances of pairs.
-
-        Raises:
-            ValueError: If the bytes are truncated, corrupt or of another kind, or as for
-                :func:`construct_grid_pairs`.
+        This takes as long as construction. An interrupt (Ctrl-C) discards the work. ``ValueError`` if the bytes are
+        truncated, corrupt or of another kind, or as for :func:`construct_grid_pairs`.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise ValueError(f"The bytes of a file are expected, got {shortened(data)}.")
@@ -373,25 +303,16 @@ class GridPairs:
 
 
 def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
-    """Compute distances between all pairs of cells of a grid.
+    """Compute distances between all pairs of cells of a grid, given as a :class:`GridGraph` or its free cells.
 
-    A game map of two million cells takes some seconds and a gigabyte, mostly in proportion to the number of pairs of
-    a cell and a corner at which the cell is taut. Up to 2**14 corners of obstacles, all distances between them are
-    kept. For more corners, as in mazes, only distances across narrow passages are kept.
-
-    Args:
-        graph: The grid, such as a :class:`GridGraph` with or without a goal, of at most 2**22 cells. Or an array
-            ``(rows, columns)`` of the free cells of a 4-connected grid.
-
-    Returns:
-        The distances, a pytree. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
+    Free cells are an array ``(rows, columns)``; the grid is then 4-connected. Other grids are GridGraphs, with or
+    without a goal. A game map of two million cells takes some seconds and a gigabyte of memory. All distances between
+    corners of obstacles are kept if there are at most 2**14; else, as in mazes, only distances across narrow
+    passages. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
 
     Raises:
         ValueError: If ``graph`` is not a grid or has more than 2**22 cells, if paths of an 8-connected grid are
             longer than a million steps, or if a table would take more than 2**30 bytes or minutes.
-
-    References:
-        See ``plr_jax/pairs/GRIDS.md``.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 
@@ -408,7 +329,7 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
-    """Return points ``(..., 2)``; NumPy points are rounded down in their own precision."""
+    """Check points ``(..., 2)``; round NumPy points down to whole cells before they become 32-bit."""
     if not isinstance(x, jax.Array):
         x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both ends are outside
     elif jax.numpy.iscomplexobj(x):

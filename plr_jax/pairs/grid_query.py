@@ -1,13 +1,13 @@
 """Distances between pairs of grid cells in JAX.
 
-The distance of cells that see each other is the open length. Any other is the least sum over a corner of each cell:
-two legs and the distance between the corners. Cells have up to dozens of corners, and a pair takes their product. But
-no path over a corner is shorter than the open length over it, so a known path rules out most corners:
+Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads through
+a corner stored for each: the distance is the least sum of two legs (from the cells to their corners, as on an empty
+grid) and the distance of the corners. Cells have up to dozens of corners, in blocks of four. A known path rules out
+most pairs of them, as no path through a corner is shorter than on an empty grid:
 
-1. Sort pairs by their numbers of corner blocks. Find, for each, the path over the corners with the shortest open
-   length.
-2. Mark the blocks of corners that may give a shorter path.
-3. Sort pairs by the number of pairs of marked blocks. Try these, in chunks of pairs with about equal work.
+1. Sort pairs of cells by their numbers of blocks. Find the path through the corners that suit an empty grid best.
+2. Mark the blocks with corners that may give a shorter path.
+3. Sort pairs of cells by the number of pairs of marked blocks. Try these, in chunks of about equal work.
 """
 
 from collections.abc import Callable
@@ -43,16 +43,14 @@ Cells = Int[Array, "n 2"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class IllegalSteps:
-    """Prefix sums that tell which cells see each other (:func:`sees`).
+    """Prefix sums that tell which cells see each other (:func:`sees`), and which cells are free.
 
     Attributes:
         sums: Flattened tables with a row and a column of zeros in front. For a 4-connected grid, one table counts the
             blocked cells above and before each cell. For an 8-connected grid, two tables count illegal diagonal
             steps, of the grid and of its mirror image, and one counts blocked cells before each cell in its row; the
             same three follow for the transposed grid. Only cells and steps beside a free cell count.
-        free: Bits of the cells in row-major order, lowest bit of a word first.
-        shape: Rows and columns of the grid.
-        connectivity: 4 or 8.
+        free: One bit for each cell in row-major order, lowest bit of a word first.
     """
 
     sums: Integer[Array, "sums"]
@@ -62,7 +60,6 @@ class IllegalSteps:
 
 
 def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
-    """Count the illegal steps of a grid."""
 
     def sums_along_rows(marks: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -72,7 +69,7 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
         return around[:, :-2] | around[:, 2:]
 
     def slanted_sums(grid: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
-        """Illegal diagonal steps that end in the rows until each cell's, at no greater ``column - row``."""
+        """Count the illegal diagonal steps that end in a cell's row or above, at no greater ``column - row``."""
         cells = np.stack([grid[1:, 1:], grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:]])
         sums = sums_along_rows(np.pad(cells.any(axis=0) & ~cells.all(axis=0), ((1, 0), (1, 0))))
         for row in range(1, len(sums)):
@@ -92,16 +89,14 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
-    """Return whether cells of the grid are free."""
     cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
     return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
-    """Return whether cells see each other; a blocked cell sees none."""
+    """Return whether cells are free and obstacles block none of the shortest paths of an empty grid between them."""
 
     def between(row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]) -> Int[Array, "n"]:
-        """Return the sum over a range of columns, of the row that begins at an index."""
         return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
 
     if sight.connectivity == 4:  # the rectangle between the cells must be free
@@ -147,16 +142,12 @@ GROUP = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridTables:
-    """A grid, the corners at which each cell is taut, and the distances between corners.
+    """The tables of a query: a grid, the corners (``row``, ``column``) that each cell lists, and their distances.
 
     Attributes:
-        sight: Which cells see each other.
-        group_block: Index of the first block of each group of 16 cells, in row-major order.
+        group_block: Index of the first block of corners of each group of 16 cells, in row-major order.
         cell_block: Offset of the first block of each cell from that of its group, and one more at the end.
-        blocks: Corner numbers; a cell repeats its last corner to fill its last block.
-        row: Row of each corner.
-        column: Column of each corner.
-        distances: Distances between corners.
+        blocks: Numbers of the corners that a cell lists, four a block; its last corner fills up its last block.
     """
 
     sight: IllegalSteps
@@ -179,7 +170,6 @@ class GridTables:
 
 
 def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
-    """Build the tables of a grid; raise ``ValueError`` if a table takes too many bytes."""
     first, corners = taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks.
     counts = np.diff(first)
@@ -212,9 +202,9 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
 _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
-_MOST_TOLD = 2**7 - 1  # block counts above it are equal for sorting
-_WORD = 32  # bits
-_ROUNDING = 2.0**-22  # relative error above that of rounding in 32 bits
+_MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
+_WORD = 32  # bits of a word
+_ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
 
 SLACK = 2.0**-20
 """Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step."""
@@ -224,7 +214,7 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return lengths of shortest paths between cells of points; ``inf`` without a path or outside the grid."""
+    """Return lengths in steps of shortest paths between cells of points; ``inf`` without a path or off the grid."""
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
@@ -234,7 +224,10 @@ def evaluate_pairs(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return the same for one goal cell, given its distance from each corner."""
+    """Return lengths in steps of shortest paths from points' cells to the ``goal`` (row, column).
+
+    They are ``inf`` without a path or outside the grid. ``from_goal`` is the result of :func:`corners_from`.
+    """
     p, inside = _cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
@@ -251,7 +244,7 @@ def evaluate_to(
 
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
-    """Return the distance in units from a cell to each corner, through the corners at which the cell is taut."""
+    """Return lengths in units of shortest paths from a cell to each corner by way of a corner that the cell lists."""
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
@@ -260,14 +253,13 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
 
 
 def _cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
-    """Return the cell (row, column) of each point, any cell for points outside, and whether it is inside."""
+    """Return the cell (row, column) of each point, (0, 0) for points off the grid, and whether points are on it."""
     place = jnp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
-    """Return lengths of shortest paths between cells in units, at least ``FAR`` without a path."""
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
     pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
@@ -291,7 +283,6 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"
 
 
 def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
-    """Return indices of pairs in chunks of about equal work per pair; work is less than 2**14."""
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
@@ -301,9 +292,10 @@ def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
 def _most_likely(
     tables: GridTables, p: Cells, q: Cells, seen: Bool[Array, "n"]
 ) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
-    """Return the path length over the corners nearest to both cells, and the blocks that may have better corners.
+    """Return path lengths, and bits of the corner blocks of both cells that may give shorter paths.
 
-    The open length over a corner bounds every path over it from below. Pairs that see each other need no corner.
+    Lengths are exact for cells that see each other. Else paths lead through the corner of each cell that would be on
+    a shortest path to the other cell on an empty grid.
     """
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
@@ -318,7 +310,7 @@ def _most_likely(
 def _nearest_to_both(
     tables: GridTables, cells: Cells, others: Cells, seen: Bool[Array, "n"]
 ) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
-    """Return the corner of each cell on the shortest open path to the other, and its distance."""
+    """Return each cell's corner on the shortest path to the other cell on an empty grid, and its distance."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
@@ -336,7 +328,7 @@ def _nearest_to_both(
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
-    """Return bits of the first 32 blocks of each cell: whether an open path over a corner is shorter."""
+    """Return a bit for each of a cell's first 32 blocks: whether a path through its corners may be shorter."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -351,7 +343,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int3
 
 
 class _Left(NamedTuple):
-    """Cells with the bits of the first 32 blocks still to try; blocks behind these are always tried."""
+    """Cells with a bit for each of their first 32 blocks that is still to try; later blocks are always tried."""
 
     cells: Cells
     blocks: UInt32[Array, "n"]
@@ -365,7 +357,6 @@ class _Left(NamedTuple):
         return jnp.where(number == 0, self.blocks, every)
 
     def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
-        """Return the corners of the block of the lowest bit; of any block if there is no bit."""
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
@@ -374,7 +365,6 @@ class _Left(NamedTuple):
 def _least_of_those_left(
     tables: GridTables, left: _Left, others_left: _Left, length: Int32[Array, "n"]
 ) -> Int32[Array, "n"]:
-    """Return the smaller of a length and the paths over the remaining blocks of both cells."""
 
     def with_words(words: Int[Array, ""], length: Int32[Array, "n"]) -> Int32[Array, "n"]:
         word, other_word = jnp.divmod(words, others_left.words(tables))
@@ -414,10 +404,7 @@ def _least_around(
     onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
     shape: tuple[int, ...],
 ) -> Int32[Array, "n"]:
-    """Return the least length of a path from each cell over one of its corners, ``FAR`` without corners.
-
-    ``onward`` returns the lengths from four corners of each cell to the end of the path.
-    """
+    """Return the least sum of a leg from each cell to a corner that it lists, and the way ``onward`` from there."""
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
@@ -429,7 +416,6 @@ def _least_around(
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
-    """Return the index of the first block of each cell, and its number of blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
@@ -441,12 +427,10 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
 def _corners_of_block(
     tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
 ) -> Int32[Array, "n 4"]:
-    """Return the corners of a block of each cell, clamped to its last block."""
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
 def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
-    """Return lengths in steps, never rounded up; ``inf`` without a path or outside."""
     whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
     part = rest / STRAIGHT[connectivity]
     whole = whole.astype(part.dtype)
@@ -500,17 +484,16 @@ def _lengths_of_rim(
     goal: Int32[Array, "n 2"],
     asked_first: Bool[Array, "rim n"],
 ) -> Rim:
-    """Return lengths in units from the cells of square rims to goals, at least ``FAR`` without a path.
+    """Return lengths in units to goals from cells on the rims of squares; at least ``FAR`` without a path.
 
-    Between two known cells whose lengths differ by the number of steps between them, lengths follow. Else ask for the
-    cell in the middle.
+    If the lengths of two rim cells differ by the number of steps between them, the lengths of the cells between
+    follow. Else the cell in the middle is queried.
     """
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-        """Return place and length of the nearest known cell before each, or after it if reversed."""
 
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
             place, length, is_known = cell
@@ -574,7 +557,6 @@ def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
-        """Return lengths after steps from row to row."""
 
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here

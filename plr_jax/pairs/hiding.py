@@ -1,11 +1,12 @@
 """Fast tests of what hides points from one another: walls near a listed corner, and occluders.
 
 Near walls: a wall can hide a corner from a point of a leaf only if it is between the two. Such walls are few, as most
-listed corners are visible from all of the leaf. They are found for runs of neighbor leaves first, then for ever
+corners that a leaf lists are visible from all of it. They are found for runs of neighbor leaves first, then for ever
 shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
 
 Occluders: long chords of obstacles. A segment that crosses a chord is blocked. Greedily choose the chords that block
-most of some random pairs, as long as each saves more time than its test takes; a few dozen replace most wall tests.
+most of some random segments, as long as each saves more time than its test takes; a few dozen replace most wall
+tests.
 """
 
 from dataclasses import dataclass, field
@@ -23,10 +24,10 @@ from plr_jax.geometry.box import Box
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
-_AT_ONCE = 2**14  # pairs of an entry and a wall tested together
+_AT_ONCE = 2**14  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
-_MOST_TESTS = 2**25  # tests of a block in one round
-_MOST_PAIRS = 2**24  # pairs of an entry and a near wall, by memory
+_MOST_TESTS = 2**25  # tests of a block of walls in one round
+_MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memory
 _PAIRS = 2**12  # random pairs of points by which occluders are chosen
 _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
@@ -35,13 +36,12 @@ _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occlu
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class NearWalls:
-    """Walls near each list entry, entry by entry.
+    """For each corner that a leaf lists, the walls that may hide it from points of the leaf.
 
     Attributes:
-        ends: Wall ends, one row for each coordinate.
-        first: Index of the first wall of each entry.
-        most: Largest number of walls of an entry. Queries read this many for every entry, which does no harm: all are
-            walls.
+        ends: Both ends of the walls, list entry by list entry; one row for each coordinate.
+        first: Index of the first wall of each list entry.
+        most: Largest number of walls of an entry. Queries read this many for every entry: more walls do no harm.
     """
 
     ends: Float[Array, "4 walls"]
@@ -58,7 +58,7 @@ class NearWalls:
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Return the walls of :func:`near_entries` for padded lists; None if testing all walls is as fast."""
+        """Find the near walls of padded lists (:func:`near_entries`); None if testing all walls is as fast."""
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -71,7 +71,7 @@ class NearWalls:
         return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
 
     def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
-        """Return wall ends that include all walls near given entries."""
+        """Return ends of walls that include all that may hide the corner at a ``place`` of a leaf's list."""
         first = self.first[leaf, place]
         along = jnp.arange(self.most, dtype=jnp.uint32)[None]
         return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
@@ -86,19 +86,11 @@ def near_entries(
     margin: float,
     most: int,
 ) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
-    """Find the walls near the convex hull of a leaf's box and a corner that it lists.
+    """Find the walls near the convex hull of a leaf's box and a corner that the leaf lists.
 
-    Args:
-        boxes: Lower and upper corners of the leaves' boxes, in traversal order.
-        leaf: Leaf of each list entry, ascending.
-        listed: Corner of each entry.
-        corners: Positions of all corners.
-        walls: Wall ends.
-        margin: Distance within which walls are near. A few other walls are returned too.
-        most: Largest number of walls near an entry.
-
-    Returns:
-        The entry of each pair, ascending, and its wall. None if an entry, or all together, exceed the limits.
+    ``leaf`` (ascending) and ``listed`` are the leaf and the corner of each list entry. Walls are near up to a
+    distance of ``margin``; a few other walls are returned too. Returns list entries, ascending, and the wall near
+    each; None if more than ``most`` walls are near an entry, or too many in all.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -127,7 +119,6 @@ def _near_entries(
     walls: Float[np.ndarray, "walls 4"],
     margin: float,
 ) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
-    """Find the pairs for some entries, whose corners have consecutive numbers; None if there are too many."""
     lo, hi = boxes
     if len(lo) == 1:
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
@@ -162,7 +153,6 @@ def _near_entries(
 
 
 def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:
-    """Return 32-bit rows padded to one of few sizes, so that few functions are compiled."""
     return padded(values.astype(np.float32), max(_AT_ONCE, padded_size(len(values))))
 
 
@@ -174,10 +164,7 @@ def _are_near(
     walls: Float[Array, "walls 4"],
     margin: Float[Array, ""],
 ) -> Bool[Array, "pairs"]:
-    """Return whether walls are within the margin of the hull of an entry's box and corner.
-
-    By the separating axis theorem, two convex sets in the plane are apart only if an edge of one separates them.
-    """
+    """Return whether walls are within a margin of the convex hull of a box and a corner, by separating axes."""
     x0, y0, x1, y1, cx, cy = hulls[entry].T
     ax, ay, bx, by = walls[wall].T
     apart = (jnp.maximum(ax, bx) < jnp.minimum(x0, cx) - margin) | (
@@ -200,19 +187,14 @@ def _are_near(
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose occluders inside the obstacles of a domain.
+    """Choose occluders: chords of the obstacles of a domain that block many random segments.
 
-    Args:
-        region: Free space, a Shapely geometry.
-        domain: The domain.
-        depth: Smallest depth of occluders inside obstacles.
-        num_walls: Number of walls tested for each pair that no occluder hides.
-
-    Returns:
-        One row for each occluder, relative to the middle of the domain: both ends, and the coefficients of a linear
-        function that is 0 on the line through them and 1 where a point is certainly beside this line.
+    They are at least ``depth`` inside the obstacles of ``region``, the free space as a Shapely geometry. A query
+    tests ``num_walls`` walls for each pair of points that no occluder separates. Each row holds both ends of an
+    occluder, relative to the middle of the domain, and the coefficients of a linear function that is 0 on the line
+    through them and 1 where a point is certainly beside this line.
     """
-    import shapely  # PLRs do not need it
+    import shapely  # other queries do not need Shapely
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
     rng = np.random.default_rng(0)

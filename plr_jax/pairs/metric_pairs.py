@@ -22,29 +22,17 @@ class MetricPairs:
     """Approximate distances between any two points of a box, stored as one PLR over pairs of points.
 
     Made by :func:`construct_metric_pairs`; to load a file, use ``MetricPairs(load(path))``. It is a pytree of arrays.
-
-    Attributes:
-        plr: The PLR over the product of the box with itself, for pairs in lexicographic order. :func:`save` writes
-            it.
+    ``plr``, which :func:`save` writes, covers the product of the box with itself, for pairs in lexicographic order.
     """
 
     plr: PLR
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return approximate distances between points.
+        """Return approximate distances, also under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
 
-        It works under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
-
-        Args:
-            x: Points, ``(..., dim)``, NumPy or JAX.
-            y: Points whose shape broadcasts with ``x``.
-
-        Returns:
-            Distances, ``(...)``, at least 0: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``
-            in the box. ``inf`` outside the box and in leaves without a joined pair; NaN for NaN.
-
-        Raises:
-            ValueError: If the last axis of the points is not ``dim``.
+        Points ``x`` and ``y``, ``(..., dim)`` (else ``ValueError``), NumPy or JAX, broadcast. Answers, ``(...)``, are
+        at least 0, symmetric to the last bit, and 0 for ``x == y`` in the box. They are ``inf`` outside the box and in leaves
+        without a pair of points that a path joins, NaN for NaN.
         """
         x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
@@ -70,7 +58,7 @@ class MetricPairs:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the file."""
+        """Size of the file in bytes."""
         return self.plr.num_bytes
 
 
@@ -79,17 +67,14 @@ def construct_metric_pairs(
 ) -> MetricPairs:
     """Build a PLR of any symmetric distance function of two points in a box, from samples.
 
-    It has twice as many dimensions as the box, and uses nothing but samples of the function. For distances in a
-    planar workspace use :func:`construct_pairs`, which is exact.
+    The PLR has twice as many dimensions as the box. For distances in a planar workspace use :func:`construct_pairs`,
+    which is exact. If interrupted (Ctrl-C), the result has the partition so far.
 
     Args:
         distance_fn: Distances ``(n,)`` between points ``(n, dim)`` and ``(n, dim)``, symmetric, ``inf`` without a
             path; for example ``VisibilityGraph.between``.
         domain: The box of both points, a ``Box`` or its two corners, with at most 3 dimensions.
         **options: Options of :func:`construct`, such as limits, leaf model and seed.
-
-    Returns:
-        The distances. If interrupted (Ctrl-C), they have the partition so far, as for :func:`construct`.
 
     Raises:
         ValueError: If the box has more than 3 dimensions, or as for :func:`construct`.
@@ -115,7 +100,6 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
-    """Return whether ``x`` comes after ``y`` in lexicographic order."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

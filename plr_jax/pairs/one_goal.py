@@ -18,10 +18,10 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Sample points of a leaf in local coordinates."""
 _HALVINGS = 4  # halvings of a leaf that no corner fits well
-_DEPTH = 13  # depth to which a file with few leaves is halved
+_DEPTH = 13  # number of halvings by which a file with few leaves may be refined
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
-_ROUNDING = 1e-6  # relative error above that of a query, of a distance plus the domain width
+_ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
@@ -29,7 +29,8 @@ PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     """Return the PLR of cones of the distance to a goal.
 
-    Each leaf of the pairs gets the corner whose cone fits it best, and is halved where no corner fits well.
+    A cone is the distance to a source (a corner or the goal) plus the source's distance to the goal. Each leaf of the
+    pairs gets the source whose cone fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
     goal = as_finite_point("The goal", domain.settled(goal), 2)
@@ -59,9 +60,9 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
 def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
     """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
 
-    The next turn after a corner is the goal if the path there is straight, else the end of an edge to a corner nearer
-    to the goal. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf uses
-    it.
+    The next turn after a corner is the goal if the path there is straight, else a corner nearer to the goal at the
+    end of an edge. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf
+    uses it.
     """
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
@@ -80,10 +81,7 @@ def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"])
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return the source of each cell with the best fitting cone, and its mean error; -1 if none reaches the goal.
-
-    ``owner`` is the leaf of the pairs that contains the cell.
-    """
+    """Return each cell's goal or corner whose cone fits best (-1 if none reaches the goal), and its mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -101,7 +99,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves with equal sources; return the remaining leaves and their sources."""
+    """Join halves with equal sources; return the remaining leaves and the source of each."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

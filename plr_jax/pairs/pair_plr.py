@@ -48,11 +48,7 @@ class PairPLR(FileBacked):
     """Distances between any two points of a planar workspace.
 
     Made by :func:`construct_pairs` and :func:`load`. A PairPLR is a pytree of arrays: jitted functions can close over
-    it or take it as an argument.
-
-    Attributes:
-        file: The bytes that :func:`save` writes, padded with zeros, then their number (``padded_file`` in
-            ``plr/container.py``).
+    it or take it as an argument. Its ``file`` is padded with zeros (``padded_file`` in ``plr/container.py``).
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
@@ -71,17 +67,15 @@ class PairPLR(FileBacked):
             return build_pair_tables(self.stored, self.num_bytes)
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        """Return the tables and the file as children."""
         return ((GetAttrKey("tables"), self.tables), (GetAttrKey("file"), self.file)), None
 
     @classmethod
     def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
-        """Return the PairPLR with given tables and file."""
         tables, file = children
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """Return a copy with another label; tables that are built are shared (:meth:`FileBacked.with_label`)."""
+        """Return a copy with another label (see :class:`FileBacked`); tables that are already built are shared."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
@@ -97,19 +91,16 @@ class PairPLR(FileBacked):
         first turn of the path. It is zero where the distance is 0 or ``inf``.
 
         Args:
-            x: Points, ``(..., 2)``, NumPy or JAX.
+            x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
             outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
                 both ends to the domain.
 
         Returns:
             Distances, ``(...)``, in the precision of the points as for :func:`evaluate`; corners and the distances
-            between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for ``x
-            == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are meaningless.
-
-        Raises:
-            ValueError: If points do not have two coordinates, are not real, or do not broadcast, or if ``outside`` is
-                unknown.
+                between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for
+                ``x == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are
+                meaningless.
         """
         outside = as_outside(outside)
         if not isinstance(y, PreparedGoals):
@@ -132,21 +123,13 @@ class PairPLR(FileBacked):
         return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
-        """Prepare goals that are queried many times, for use as second points of a call.
+        """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Queries then take about half the time on small maps, a fifth on large ones. It works under ``jax.jit`` and
-        ``jax.vmap``, for example in the ``reset`` of an environment that draws its goal. Answers differ from
-        unprepared ones by rounding. They have no gradient in the goals, which have 32 bits. With ``outside="clamp"``,
-        a goal outside the domain stays outside: ``inf``. Pairs of other maps must not use these goals.
-
-        Args:
-            goals: The goals, ``(..., 2)``.
-
-        Returns:
-            The goals with their distances to all corners, ``(..., corners)``, 4 bytes per corner.
-
-        Raises:
-            ValueError: As for a call.
+        Queries then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per goal
+        and corner. It works under ``jax.jit`` and ``jax.vmap``, for example in the ``reset`` of an environment that
+        draws its goal. Answers differ from unprepared ones by rounding. They have no gradient in the goals, which
+        have 32 bits. With ``outside="clamp"``, a goal outside the domain stays outside: ``inf``. Pairs of other maps
+        must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         points = jnp.asarray(goals, jnp.float32)
@@ -155,40 +138,23 @@ class PairPLR(FileBacked):
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Return proven bounds of the distance between points of free space.
+        """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
         The proof includes the rounding of the file and of the query. It holds for points of free space, walls
-        included, but not for points that count as free only because of the workspace's tolerance.
-
-        Args:
-            x: Points, as for a call.
-            y: Points.
-
-        Returns:
-            Lower bounds, at least 0, and upper bounds, which are lengths of certainly free paths. An upper bound is
-            ``inf`` if no such path was found, as from points on a wall or within 4e-6 domain widths of one.
-
-        Raises:
-            ValueError: As for a call.
+        included, but not for points that count as free only because of the workspace's tolerance. Points are given as
+        for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of certainly
+        free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
         lower, upper = self._answered(_bounds, x, y)
         return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
-        """Return the distance to one goal as an ordinary PLR of cones.
+        """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
 
         Each leaf gets the corner that fits it best at some sample points, and is halved a few times if no corner fits
         all of it. Nothing is proven about the result: use :func:`certify`. Inside ``jit``, call the pairs with
-        ``y=goal`` instead.
-
-        Args:
-            goal: The goal, ``(2,)``, in the domain.
-
-        Returns:
-            The PLR.
-
-        Raises:
-            ValueError: If the goal is not two finite numbers, is outside the domain, or cannot be reached.
+        ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
+        reached.
         """
         return plr_to(self.stored, self, goal)
 
@@ -197,13 +163,10 @@ class PairPLR(FileBacked):
         return NumpyPairs(self.stored)
 
     def js_module(self) -> str:
-        """Return these distances as one JavaScript module that contains the file and imports nothing.
+        """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
 
         It exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the first
         turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for bit.
-
-        Returns:
-            The text of the module.
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
@@ -218,7 +181,6 @@ class PairPLR(FileBacked):
         return tuple(map(jnp.asarray, answers))
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
-        """Return points relative to the middle of the domain; NumPy points keep their precision."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -233,7 +195,7 @@ class PairPLR(FileBacked):
 
     @cached_property
     def stored(self) -> PairsFileData:
-        """The decoded contents of the file."""
+        """The decoded file."""
         return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
 
     @property
@@ -262,25 +224,23 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     """Build a PairPLR: distances between any two points of a planar workspace.
 
     The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
-    file holds free space, the joined pairs of corners, the partition and the lists. More bytes make queries faster,
-    because fewer corners must be tried; bytes are spent only as long as they do.
+    file holds free space, the pairs of corners that a shortest path may join straight, the partition and the lists.
+    More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do. If
+    interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
     - Points within 4e-6 domain widths of a wall may see past its ends: their distance may be up to 2e-5 widths too
       small.
-    - Points within 8e-6 widths of a contact, or of a wall or gap thinner than that, may get the distance of a point
-      on the other side, or one that is too small. Bounds still hold there. Lower bounds treat such walls as free
-      space, so they may be far below the distance between points on opposite sides.
+    - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
+      the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
+      such walls as free space, so they may be far below the distance between points on opposite sides.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed.
 
     Args:
         workspace: The free space, with at most 8,192 reflex corners.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
-
-    Returns:
-        The PairPLR. If interrupted (Ctrl-C), it has the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
         ValueError: If the workspace is not a Workspace, has too many corners or is wider than 1e18, or if free space
@@ -326,7 +286,6 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Return distances from points to the prepared goals with given indices, ``(*batch, 1)``."""
     if outside == "clamp":
         x, way = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
@@ -366,7 +325,6 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """Return the nearest point of the domain and the distance to it; points that are not finite stay."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
@@ -376,10 +334,7 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows inside the domain, their shape, and the answer that is known already.
-
-    The known answer is ``inf`` outside the domain, NaN for NaN, else 0.
-    """
+    """Return points as rows, their batch shape, and known answers: ``inf`` outside the domain, NaN, or else 0."""
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))
@@ -396,12 +351,10 @@ def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray)
 
 
 def _floats_of(*points: Any) -> Any:
-    """Return the precision of an answer: 64 bits if a point has 64 bits, else 32."""
     return jnp.float64 if jnp.float64 in [p.dtype for p in points] else jnp.float32
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-    """Return the largest coordinates inside the domain, widened by rounding."""
     ends = tables.half + _ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 

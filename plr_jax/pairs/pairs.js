@@ -1,4 +1,4 @@
-// Reads files of pairs as plr_jax/pairs/stored.py says, and answers by the arithmetic of plr_jax/pairs/portable.py.
+// Reads files of a PairPLR (plr_jax/pairs/stored.py), and answers by the arithmetic of plr_jax/pairs/portable.py.
 
 const EPS = 2 ** -23, RECEDING = 32 * EPS, MARGIN = RECEDING / 4, MOST_CORNERS = 8192;
 
@@ -17,7 +17,7 @@ function readOutline(body, origin) {
     const hasLength = i => points.some(along => along[following[i]] !== along[i]), name = i => `${points[0][i]} ${points[1][i]}`;
     if (!maySqueeze) points[0].forEach((_, i) => hasLength(i) && places.set(name(i), [...places.get(name(i)) || [], i]));
     const isContact = Array.from(points[0], (_, i) => (places.get(name(i)) || []).length > 1);
-    // At a contact each wall goes on around its own obstacle instead: the next one counterclockwise.
+    // At a contact, the next wall is the next one counterclockwise, around the same obstacle.
     const angle = i => {
         const [dx, dy] = points.map(along => along[following[i]] - along[i]), length = Math.abs(dx) + Math.abs(dy);
         const slant = length ? dx / length : 1;
@@ -31,13 +31,13 @@ function readOutline(body, origin) {
     return { points, first, following, pastContacts, isContact, x: at[0], y: at[1] };
 }
 
-// How far the outline's points move if all walls move so far back, or into free space if negative, in distances.
-// Where obstacles are thin, they stay, unless they move surely.
+// How far the outline's points move if all walls move back by a distance (into free space if negative), as multiples
+// of the distance. Points between walls of thin obstacles stay, unless `surely`.
 function moves({ points, following: ring, pastContacts, isThin, x, y }, distance, surely) {
     const count = x.length, following = distance > 0 ? pastContacts : ring, before = new Int32Array(count);
     const mx = new Float64Array(count), my = new Float64Array(count), stays = [], turned = [];
     following.forEach((next, i) => before[next] = i);
-    // Walls that are points are passed over.
+    // Walls of length 0 are skipped.
     const normal = (i, along) => {
         for (let steps = 0; steps < count; steps++, i = along[i]) {
             const [dx, dy] = points.map(at => at[following[i]] - at[i]), length = Math.sqrt(dx * dx + dy * dy);
@@ -51,7 +51,7 @@ function moves({ points, following: ring, pastContacts, isThin, x, y }, distance
         const along = Math.max(1 + cosine, 1e-12);
         mx[i] = (nx + bx) / along;
         my[i] = (ny + by) / along;
-        // As far as the sharpest tip needs, but no more than a part of the walls beside it.
+        // As far as the sharpest tip needs, but at most a quarter of the walls beside it.
         const most = distance > 0 ? Math.max(4, Math.min(length(i), length(before[i])) / (4 * distance)) : 4;
         const isTip = cosine < -0.5 && bx * ny - by * nx < 0; // which recedes along itself, within its obstacle
         if (isThin.has(i) && isThin.has(before[i]) && !isTip) stays.push(i);
@@ -92,14 +92,14 @@ function readLists(body, { levels, child, index, leaves }, count, most) {
     return lists;
 }
 
-// The pair of a number among all pairs i < j, in order of j, then i.
+// The pair with a given number among all pairs i < j, in order of j, then i.
 function pairOf(number) {
     let j = Math.floor((1 + Math.sqrt(1 + 8 * number)) / 2);
     if (j * (j - 1) / 2 > number) j--; else if (j * (j + 1) / 2 <= number) j++;
     return [number - j * (j - 1) / 2, j];
 }
 
-// What the reader of pairs is made of: see pairsReader.
+// Decodes a file and builds the tables that pairsReader needs.
 function readPairs({ domain, layers }, fileBytes) {
     if (layers.some(layer => layer.leaf !== PAIRS || layer.proof)) fail("its pairs have proofs, or layers of other kinds");
     const [body, ...others] = layers.map(layer => new BitReader(layer.body));
@@ -141,7 +141,7 @@ function readPairs({ domain, layers }, fileBytes) {
         const [wx, wy] = moved.map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
         const walls = Array.from(wx.keys()).flatMap(i => surely && isThin.has(i) ? [] : wall(wx[i], wy[i], wx[following[i]], wy[following[i]]));
         if (distance <= 0 || surely) return walls;
-        // There and back, from contacts, and from where a tip may be cut off, to where the walls meet.
+        // Walls in both directions, from contacts or near tips that are cut off, to where the moved walls meet.
         for (const i of wx.keys()) {
             const { x, y } = outline, away = [x[i] - moved[0][i], y[i] - moved[1][i]];
             const far = Math.sqrt(away[0] * away[0] + away[1] * away[1]), most = outline.isContact[i] ? 0 : 4 * distance;
@@ -181,7 +181,7 @@ function readPairs({ domain, layers }, fileBytes) {
     };
 }
 
-// Distances from a corner to all, over those that are joined, in 64 bits, and rounded.
+// Distances from a corner to all corners along the edges between them, in 64 bits, then rounded to 32.
 function distancesFrom(source, neighbors) {
     const distance = new Float64Array(neighbors.length).fill(Infinity), heap = [[0, source]];
     distance[source] = 0;
@@ -209,13 +209,13 @@ function distancesFrom(source, neighbors) {
     return Float32Array.from(distance);
 }
 
-// Functions of two points, of what readPairs gives.
+// Returns functions of two points, given the result of readPairs.
 function pairsReader(tables) {
     const { lo, hi, scale, start, top, tree, root, lists, neighbors, middle, seen, free, sure, less, more } = tables;
     const place = new Uint32Array(2), rows = [];
     const row = corner => rows[corner] || (rows[corner] = distancesFrom(corner, neighbors));
 
-    // Operations round to 32 bits one by one, as those of NumPy do.
+    // Each operation rounds to 32 bits, as in NumPy.
     function placeOf(x, axis) {
         const share = f(f(x - lo[axis]) * scale[axis]), placed = f((share < top[axis] ? share : top[axis]) + start[axis]);
         return (placed < 1 ? 1 : placed) * 8388608 << 9;
@@ -261,7 +261,7 @@ function pairsReader(tables) {
         return code >>> 2;
     }
 
-    // The shortest way among what is in a scene: its length, and its first and last corner, -1 if it is straight.
+    // The shortest path in a scene: its length, and its first and last corner, -1 if it is straight.
     function way(scene, px, py, qx, qy) {
         if (!hides(scene, px, py, qx, qy)) return [legLength(px, py, qx, qy), -1, -1];
         const of = [lists[leafOf(px, py)], lists[leafOf(qx, qy)]];
@@ -271,7 +271,7 @@ function pairsReader(tables) {
             const x = end ? qx : px, y = end ? qy : py, corner = of[end][k];
             return (sight[end][k] || (sight[end][k] = hides(scene, x, y, scene.x[corner], scene.y[corner]) ? -1 : 1)) > 0;
         };
-        for (;;) { // strike corners off that a point does not see, of the shortest ways first
+        for (;;) { // try the shortest path first, and drop corners that a point does not see
             let best = Infinity, first = -1, last = -1;
             for (let i = 0; i < of[0].length; i++) {
                 if (sight[0][i] < 0) continue;
@@ -288,7 +288,7 @@ function pairsReader(tables) {
         }
     }
 
-    // Points counted from the middle, that with the smaller coordinates first; or what is answered instead.
+    // Points relative to the middle, the lexicographically smaller one first; or the answer outside and for NaN.
     function counted(x, y) {
         const p = [f(x[0] - middle[0]), f(x[1] - middle[1])], q = [f(y[0] - middle[0]), f(y[1] - middle[1])];
         if ([...p, ...q].some(along => along !== along)) return NaN;
@@ -309,7 +309,7 @@ function pairsReader(tables) {
         return [lower < 0 ? 0 : lower, isClear ? f(f(f(1 + 16 * EPS) * way(free, ...p, ...q)[0]) + more) : Infinity];
     }
 
-    // The shortest way as a list of points, both ends with it; null where there is none.
+    // The shortest path as a list of points, with both ends; null if there is none.
     function path(x, y) {
         const points = counted(x, y);
         if (typeof points === "number") return null;
@@ -325,7 +325,7 @@ function pairsReader(tables) {
         return [x, ...corners, y];
     }
 
-    // Where to go straight to from a point towards another one; NaN where no way leads.
+    // The first turn of the path from a point to another (which it is if the path is straight); NaN without a path.
     function waypoint(x, y) { return (path(x, y) || [0, [NaN, NaN]])[1]; }
 
     return { distance, waypoint, bounds, path, hides, legLength, leafOf, row };

@@ -53,9 +53,9 @@ _PAIRS = 2**12  # pairs of points that are answered together
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether lines between points cross walls into an obstacle, and out of one.
+    """Return whether lines between points cross walls into an obstacle, and whether out of an obstacle.
 
-    Walls are rows of :func:`walls_with_sides`.
+    A wall is seven coefficients, as in :func:`walls_with_sides`.
     """
     (px, py), (qx, qy), (ax, ay, bx, by, ex, ey, turn) = p, q, wall
     dx, dy = qx - px, qy - py
@@ -66,14 +66,14 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls pass to the right of points upward, and downward."""
+    """Return whether walls pass to the right of points upward, and whether downward."""
     (px, py), (_, ay, _, by, ex, ey, turn) = p, wall
     beside = ex * py - ey * px - turn
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
 
 
 def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Return walls in 32 bits with the coefficients that tell the side of a point."""
+    """Return walls in 32 bits, rows ``ax, ay, bx, by, ex, ey, turn``, where ``turn`` is ``ex ay - ey ax``."""
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
     return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
@@ -83,11 +83,8 @@ def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "
 class Scene:
     """Walls and corners for path search, relative to the middle of the domain.
 
-    Attributes:
-        walls: Wall ends.
-        corners: The corners, then one at ``inf`` as padding.
-        moved: Largest distance of a corner from its position in the file.
-        is_certain: Whether every path found is certainly free.
+    The last corner, at ``inf``, is padding. Corners are at most ``moved`` away from their positions in the file. If
+    ``is_certain``, every path found is certainly free.
     """
 
     walls: Float[np.ndarray, "walls 4"]
@@ -97,10 +94,10 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Return the scene of a file: walls move into free space if ``is_certain``, else back into obstacles.
+        """Build the scene of a file: walls move into free space if ``is_certain``, else back into obstacles.
 
-        With ``hides_surely``, only what obstacles certainly hide is hidden: contacts open, and thin walls are left
-        out.
+        With ``hides_surely``, only what obstacles certainly hide is hidden: paths may pass between obstacles that
+        touch, and walls of thin obstacles are left out.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -122,11 +119,9 @@ class Scene:
 
     @cached_property
     def sides(self) -> list[Float[np.ndarray, "walls"]]:
-        """Return the columns of :func:`walls_with_sides`."""
         return list(walls_with_sides(self.walls).T)
 
     def hides(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether walls block the segments between points."""
         hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
             some = slice(first, first + step)
@@ -136,7 +131,6 @@ class Scene:
         return hidden
 
     def encloses(self, p: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points are inside the walls."""
         inside, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
             up, down = winding(p[first : first + step].T[:, :, None], self.sides)
@@ -145,13 +139,9 @@ class Scene:
 
 
 class NumpyPairs:
-    """Distances of pairs computed in NumPy, as returned by ``pairs.numpy()``.
-
-    :meth:`PairPLR.js_module` computes the same answers bit for bit.
-    """
+    """Distances between any two points, computed in NumPy, as returned by :meth:`PairPLR.numpy`."""
 
     def __init__(self, stored: PairsFileData) -> None:
-        """Prepare the data of a file for queries."""
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
         self.domain, self._middle = domain, middle
         self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
@@ -170,39 +160,23 @@ class NumpyPairs:
         )
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
-        """Return distances between points.
+        """Return distances between points ``(..., 2)`` whose shapes broadcast, ``(...)`` in float32.
 
-        Args:
-            x: Points, ``(..., 2)``.
-            y: Points whose shape broadcasts with ``x``.
-
-        Returns:
-            Distances, ``(...)``, float32: ``inf`` outside the domain and without a path, NaN where a coordinate is
-            NaN. ``f(x, y) == f(y, x)`` to the last bit.
-
-        Raises:
-            ValueError: If points are not real numbers with two coordinates, or do not broadcast.
+        They are ``inf`` outside the domain and without a path, NaN where a coordinate is NaN. ``f(x, y) == f(y, x)``
+        to the last bit. ``ValueError`` if points are not real numbers with two coordinates, or do not broadcast.
         """
         return self._answered(x, y, lambda p, q: self._lengths(self._seen, p, q)[:, None])[..., 0][()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
-        """Return proven bounds of distances between points of free space, as :meth:`PairPLR.bounds` does.
+        """Return proven lower and upper bounds, ``(...)`` in float32, of distances between points of free space.
 
-        Args:
-            x: Points, ``(..., 2)``.
-            y: Points whose shape broadcasts with ``x``.
-
-        Returns:
-            Lower and upper bounds, ``(...)`` each, float32.
-
-        Raises:
-            ValueError: As for a call.
+        Points, errors and meaning are as for a call and :meth:`PairPLR.bounds`.
         """
         bounds = self._answered(x, y, self._bounds)
         return bounds[..., 0][()], bounds[..., 1][()]
 
     def _answered(self, x: ArrayLike, y: ArrayLike, answer: Callable[..., np.ndarray]) -> np.ndarray:
-        """Apply a function to pairs of points in blocks; answer ``inf`` outside the domain and NaN for NaN."""
+        """Apply a function to points in blocks; answer ``inf`` outside the domain and NaN for NaN."""
         x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
@@ -234,7 +208,6 @@ class NumpyPairs:
     def _lengths(
         self, around: Scene, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n"]:
-        """Return lengths of the shortest paths in a scene."""
         lengths = _length(p - q)
         hidden = np.flatnonzero(around.hides(p, q))
         p, q = p[hidden], q[hidden]
@@ -257,7 +230,6 @@ class NumpyPairs:
     def _legs(
         self, around: Scene, p: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
-        """Return the corners that the points' leaves list, and the distances to them."""
         above = p.T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
@@ -269,12 +241,11 @@ def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
 
 
 def js_pairs_reader() -> str:
-    """Return the JavaScript functions that read and query files of pairs."""
+    """Return the JavaScript functions that read and query files of PairPLRs."""
     return Path(__file__).with_name("pairs.js").read_text(encoding="utf-8")
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
-    """Return the JavaScript module of a file of pairs, as :meth:`PairPLR.js_module` documents it."""
     return f"""\
 // The distance between any two points of {format_domain(domain)}, by plr_jax.
 //

@@ -1,15 +1,16 @@
-"""Queries of pairs in JAX: the tables and the search for shortest paths.
+"""Queries of a PairPLR in JAX: its tables and the search for shortest paths.
 
 Two points that see one another are joined by a straight path. Any other path turns first and last at corners that the
-leaves of its ends list. The search is best-first over the corners of the first point's list, ordered by a lower bound
-of the path length through each:
+leaves of its ends list. The search is best-first over the corners that the first point's leaf lists, ordered by a
+lower bound of the path length through each:
 
 1. Take the corner with the smallest bound, and the shortest path through it to the second point.
 2. If a wall hides a corner from its point, drop the corner from that point's list.
 3. Stop once no remaining bound is smaller than the length of a path found.
 
 Legs (segments from a point to a listed corner) are tested against the few walls near the leaf and the corner,
-straight paths against all walls. Most pairs need one or two rounds. Each round takes only pairs that are still open.
+straight paths against all walls. Most pairs of points need one or two rounds. Each round takes only pairs that are
+still open.
 """
 
 from collections.abc import Callable
@@ -55,24 +56,21 @@ class PairTables:
     """The tables that a query reads. Coordinates are relative to the middle of the domain.
 
     Attributes:
-        partition: Finds the leaf of a point.
-        walls: Ends of the walls that block sight, moved back a little, in groups padded with empty walls.
-        occluders: Segments inside obstacles (:func:`occluders_of`), in groups padded with zeros.
+        walls: Walls that block sight, moved back a little: seven coefficients each (:func:`walls_with_sides`), in
+            groups.
+        occluders: Segments inside obstacles (:func:`occluders_of`), in groups.
         near: Walls that may hide a listed corner; None if they are too many to save time.
-        x: First coordinate of each leaf's corners, padded with ``inf``.
-        y: Second coordinate.
-        listed: Corners of each leaf; the padding is one more than the last corner.
-        distances: Distances between corners, padded with ``inf``.
+        x: First coordinate of the corners that each leaf lists, padded with ``inf``; ``y`` likewise.
+        listed: Indices of the corners that each leaf lists; the padding is one more than the last index.
         onward: For each leaf and corner, two packed numbers about paths from the corner to the leaf's box through a
-            listed corner. The last bits are the listed corner of the shortest path; the rest is a float, a lower
-            bound of the length through any other.
-        corners: The corners, padded with ``inf``.
+            corner that the leaf lists. The last bits are the listed corner of the shortest path; the rest is a float,
+            a lower bound of the length through any other.
         middle: The middle of the domain in 32 bits, and the remainder.
         half: Half the domain width along each axis.
-        proud_walls: Ends of the walls moved into free space.
-        proud_corners: The corners moved into free space twice as far.
-        sure_walls: Walls for lower bounds, with contacts open and without thin walls; None if equal to ``walls``.
-        rounding: Largest error of a distance through the corners, and through the proud corners.
+        proud_walls: Walls moved into free space; ``proud_corners`` move twice as far.
+        sure_walls: Walls for lower bounds, without thin obstacles and with gaps where obstacles touch; None if equal
+            to ``walls``.
+        rounding: Largest error of a distance through ``corners``, and through ``proud_corners``.
         unresolved: Point types that cannot be answered (:func:`unresolved_types`).
         is_certain: Whether every path found is certainly free.
     """
@@ -98,7 +96,7 @@ class PairTables:
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the tables of a file; their sizes follow from its number of bytes."""
+    """Build the tables of a file of ``num_bytes`` bytes, from which some of their sizes follow."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
@@ -157,7 +155,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
 def _ways_to_leaves(
     distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
 ) -> UInt32[Array, "rows size"]:
-    """Return ``PairTables.onward`` from the distances of listed corners to their leaves' boxes."""
+    """Return `PairTables.onward`, given each leaf's corners and their distances from its box (``beside``)."""
     rows, longest = listed.shape
     size = len(distances)
     last_bits = np.uint32(padded_size(size) - 1)
@@ -188,11 +186,10 @@ def _ways_to_leaves(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PreparedGoals:
-    """Goals of a PairPLR, made by :meth:`PairPLR.prepared`: a pytree of arrays that can be batched and sliced.
+    """Goals with their distances to all corners: a pytree of arrays made by :meth:`PairPLR.prepared`.
 
-    Attributes:
-        points: The goals relative to the middle of the domain, in 32 bits.
-        to_corners: Distance from each goal to each corner, ``inf`` without a path.
+    The ``points`` are relative to the middle of the domain, in 32 bits. ``to_corners`` holds the length of the
+    shortest path from each goal to each corner, ``inf`` without a path.
     """
 
     points: Float[Array, "*batch 2"]
@@ -201,7 +198,7 @@ class PreparedGoals:
 
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
-    """Return the length of the shortest path from points to each corner."""
+    """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
     leaf = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
@@ -218,15 +215,10 @@ def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Flo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points.
+    """Pairs of points ``x`` and ``y`` and their leaves; ``leaf_y`` is None if paths from ``y`` to corners are known.
 
-    Attributes:
-        x: First points.
-        y: Second points.
-        leaf_x: Leaves of the first points.
-        leaf_y: Leaves of the second points; None for prepared goals.
-        at_least: Lower bound of the path length through each corner of the first point's list. For prepared goals it
-            is the length if the first point sees the corner.
+    ``at_least`` is a lower bound of the path length through each corner that the leaf of ``x`` lists. If paths from
+    ``y`` to corners are known, and ``x`` sees the corner, it is the length.
     """
 
     x: Float[Array, "n 2"]
@@ -243,12 +235,12 @@ class _Search:
 
     Attributes:
         length: Length of the shortest path found so far, ``inf`` if there is none.
-        via_x: Place in the first point's list of the corner where that path turns first.
-        via_y: Place in the second point's list of the last corner. Straight paths have the length of the lists in
-            both.
+        via_x: Place in the first point's list of corners of that path's first turn; the list's length if it is
+            straight.
+        via_y: Place in the second point's list of its last turn, likewise.
         least: Lower bound of the lengths of paths not yet examined.
-        done_x: Bits of the corners of the first point's list that are examined.
-        done_y: Bits of the corners of the second point's list that are hidden.
+        done_x: A bit for each corner of the first point's list: whether it is examined.
+        done_y: A bit for each corner of the second point's list: whether it is hidden.
     """
 
     length: Float[Array, "n"]
@@ -268,7 +260,8 @@ class Ways:
         length: Length of the shortest path found, ``inf`` if there is none.
         least: Lower bound of the length of any path.
         from_x: First turn after the first point; the second point if the path is straight or missing.
-        from_y: First turn after the second point, seen from there; for prepared goals the first point.
+        from_y: Last turn before the second point; the first point if the path is straight or missing, or for
+            :class:`PreparedGoals`, which do not store it.
     """
 
     length: Float[Array, "n"]
@@ -284,9 +277,10 @@ def shortest_ways(
     to_corners: Float[Array, "goals size"] | None = None,
     goal: UInt32[Array, "n"] | None = None,
 ) -> Ways:
-    """Find shortest paths between points of the domain, given relative to its middle; symmetric to the last bit.
+    """Find shortest paths between points of the domain, given relative to its middle.
 
-    With prepared goals, ``goal`` holds the indices of the second points among them.
+    If swapped, points have the same path to the last bit, unless ``to_corners`` is given. That holds the distances of
+    some goals to all corners; ``goal`` then tells which of these goals each second point is.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
@@ -343,12 +337,9 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
-    """Search in rounds until no pair is open, that is, until no pair may have a shorter path.
-
-    The search ends because each round drops a corner from a list of each open pair.
-    """
     size = search.length.shape[0]
 
+    # The search ends: each round drops a corner from a list of each open pair of points.
     def is_open(search: _Search) -> Bool[Array, "n"]:
         return search.least < search.length
 
@@ -374,7 +365,7 @@ def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: 
 
 
 def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
-    """Examine the most promising corner of each first point."""
+    """Examine the most promising corner that each first point's leaf lists."""
     x, leaf_x, leaf_y = pairs.x, pairs.leaf_x, pairs.leaf_y
     first, at_first, second = _smallest(pairs.at_least, search.done_x)
     via_x = _corner_of(tables, leaf_x, first)
@@ -419,7 +410,7 @@ def _with_bit(
 def _smallest(
     values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
 ) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Return place and value of the smallest open entry of each row, and the smallest of the others."""
+    """Return place and value of each row's smallest entry that is not done, and the smallest of its other entries."""
     # Compilers find a minimum fast but its place slowly. So the place is packed into the last bits of the excess over
     # a bound slightly below the minimum, where it cannot reorder values that differ by more than rounding.
     columns = np.arange(values.shape[1], dtype=np.uint32)[None]
@@ -490,10 +481,9 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 def is_across_occluder(
     occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 ) -> Bool[Array, "n"]:
-    """Return whether segments between points cross an occluder even after rounding.
+    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
 
-    Rounding may put an end of an occluder on the wrong side of a segment. So the points must be clear of the
-    occluder's line, on opposite sides.
+    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
     """
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
@@ -513,8 +503,8 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
     """Return whether an obstacle, whose walls have moved back a little, separates points.
 
     A segment through an obstacle crosses one wall inward and another outward. A single crossing happens at a point
-    that rounding puts into a wall, or where thin walls have moved past one another; such a point sees both sides. If
-    paths must be certainly free, a single crossing hides.
+    that rounding puts into a wall, or where thin walls have moved past one another. It does not hide, unless paths
+    must be certainly free.
     """
 
     def meets(crossed, walls):
@@ -530,7 +520,7 @@ def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array,
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether points are inside the walls: walls that have changed sides count negatively."""
+    """Return whether points are inside the walls; walls that have changed sides count negatively."""
 
     def winds(turns, walls):
         for wall in walls:

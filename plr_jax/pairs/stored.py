@@ -3,15 +3,16 @@
 The file is a PLR file (see ``plr/container.py``) whose leaf model has code 7. It has two layers. The first holds:
 
 1. the largest error of a distance that comes from rounding points to the outline's lattice, a 32-bit float;
-2. the outline of free space: lattice step, whether paths may squeeze, ring sizes, points;
+2. the outline of free space: lattice step, whether paths may pass between obstacles that touch in a point
+   ("squeeze"), ring sizes, points;
 3. the set of outline points that are corners;
-4. the set of joined corner pairs, ordered by the later corner;
-5. if there are any, the set of walls that lower bounds ignore.
+4. the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
+5. if there are any, the set of walls of obstacles so thin that a wall that moves back may leave them.
 
-The second layer makes queries fast. It holds the tree over the leaves, then the listed corners: first the set of
-corners that no leaf lists, then for each level the set of corners that the halves of its split nodes drop.
+The second layer makes queries fast. It holds the tree over the leaves, then their lists of corners: first the set of
+corners that no leaf lists, then for each level of the tree which corners of its parent each half no longer lists.
 
-Files of plr_jax 0.1 may store the joined pairs in a layer between these two, after a second copy of the error.
+Files of plr_jax 0.1 may store the pairs of corners in a layer between these two, after a second copy of the error.
 """
 
 from collections.abc import Iterator
@@ -41,15 +42,15 @@ _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 class Outline:
     """Boundary rings of free space on an integer lattice, with free space on the left of each wall.
 
-    Wall ``i`` leads from point ``i`` to the next point of its ring.
+    Wall ``i`` leads from point ``i`` to the next point of its ring. A contact is a point where obstacles touch.
 
     Attributes:
         origin: Position of the lattice point (0, 0).
         step: Lattice spacing.
         points: Points of all rings, ring by ring, in lattice steps.
         first: Index of the first point of each ring, then the number of points.
-        may_squeeze: Whether a path may pass between walls that touch in one point.
-        thin: Walls that may leave their obstacle when they move back. Lower bounds ignore them.
+        may_squeeze: Whether a path may pass contacts.
+        thin: Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
     """
 
     origin: Float[np.ndarray, "2"]
@@ -61,24 +62,21 @@ class Outline:
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
-        """Return the points' coordinates in workspace units."""
         return self.origin + self.step * self.points
 
     @cached_property
     def _following(self) -> Int[np.ndarray, "points"]:
-        """Return the next point of each point's ring."""
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
 
     @property
     def is_thin(self) -> Bool[np.ndarray, "points"]:
-        """Return which walls are thin, as a mask."""
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Return which points are contacts that no path may pass: several walls begin there."""
+        """Mask of the contacts that no path may pass: points where several walls begin, unless ``may_squeeze``."""
         _, index = np.unique(self.points, axis=0, return_inverse=True)
         return (np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1) & (not self.may_squeeze)
 
@@ -88,7 +86,7 @@ class Outline:
 
     @cached_property
     def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
-        """Return the next point of each point around the same obstacle: obstacles part at contacts."""
+        """Index of the point that follows each point around its obstacle, where obstacles part at contacts."""
         following, at = self._following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
@@ -102,10 +100,7 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, "points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """Return the walls that arrive at and leave each point, as vectors.
-
-        A wall of length 0 is replaced by the nearest longer wall in the same direction.
-        """
+        """Return vectors of the walls that arrive at and leave each point, or of the next walls that have length."""
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
         arriving = leaving[comes_from]
         for walls, beyond in ((leaving, following), (arriving, comes_from)):
@@ -115,12 +110,11 @@ class Outline:
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
-        """Return which points stick out into free space."""
+        """Mask of the points that stick out into free space."""
         (ax, ay), (bx, by) = (walls.T for walls in self._beside(self._following))
         return ax * by < ay * bx
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether points are in free space."""
         import shapely  # loading a file does not need it
 
         shapely.prepare(self.region)
@@ -128,12 +122,10 @@ class Outline:
 
     @cached_property
     def region(self) -> Any:
-        """Return free space as a Shapely geometry: the faces from which a ray crosses an odd number of walls.
+        """Free space as a Shapely geometry: the faces from which a ray crosses an odd number of walls.
 
-        Rings may touch themselves and one another, so they are not valid Shapely rings.
-
-        Raises:
-            ValueError: If walls cross more often than rounding to the lattice explains.
+        Rings may touch themselves and one another, so they are not valid Shapely rings. ``ValueError`` if walls cross
+        more often than rounding to the lattice explains.
         """
         import shapely
 
@@ -157,15 +149,12 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of all walls after they move back into obstacles.
+        """Return the ends of all walls after they move back into obstacles by a distance in workspace units.
 
-        If the distance is negative, walls move into free space instead. Walls that move back open contacts and cut
-        off tips. Pairs of opposite walls close both: they lead from the contact, or from near the tip, to the point
-        where the moved walls meet.
-
-        Args:
-            distance: How far walls move, in workspace units.
-            surely: Whether all walls move, even those of thin obstacles, and nothing closes contacts and tips.
+        If the distance is negative, walls move into free space instead. Walls that move back open gaps where
+        obstacles touch, and cut off tips. Pairs of opposite walls close both: they lead from the contact, or from
+        near the tip, to the point where the moved walls meet. With ``surely``, all walls move, even those of thin
+        obstacles, and nothing closes contacts and tips.
         """
         following = self._following if distance <= 0 else self._following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -180,7 +169,7 @@ class Outline:
         return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Return walls of rectangles around thin walls, which hardly move if their ends are blunted."""
+        """Return the four walls of a rectangle around each thin wall, at a distance, as rows of both ends."""
         start, end = self.positions[self.thin], self.positions[self._following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
@@ -194,7 +183,7 @@ class Outline:
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Return the points where a line of sight may end: contacts, and points that do not move back."""
+        """Mask of the points where a line of sight may end: impassable contacts, and points that do not move back."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
@@ -225,7 +214,6 @@ class Outline:
         return mitre
 
     def write(self, body: BitWriter) -> None:
-        """Append the outline to the body of a file."""
         body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
         body.write(np.array([self.may_squeeze], np.int64), 1)
         sizes = np.diff(self.first)
@@ -235,13 +223,11 @@ class Outline:
 
 
 def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Return unit left normals of walls, zero for walls of length 0."""
     is_wall = walls.any(axis=1, keepdims=True)
     return np.where(is_wall, left_normal(np.where(is_wall, walls, 1.0)), 0.0)
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
-    """Read an outline; raise ``ValueError`` if the data is not one."""
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")
@@ -261,10 +247,7 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield blocks of the matrix of shortest distances between points over given edges, ``inf`` without a path.
-
-    Each block comes with the index of its first row.
-    """
+    """Yield blocks of rows of the matrix of shortest distances along given edges, after their first row's index."""
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -291,18 +274,14 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """Decoded contents of a file of pairs.
+    """Decoded contents of a file of a PairPLR.
 
     Attributes:
-        domain: The box of valid points.
-        outline: The boundary of free space.
-        corner: Outline points that are corners, ascending.
+        corner: Indices of the outline points that are corners, ascending.
         edges: Pairs of corners that a shortest path may join straight, the smaller index first.
-        tree: The tree over the leaves.
         leaf: Leaf of each list entry, in the tree's traversal order.
-        listed: Corner of each list entry, ascending within a leaf.
+        listed: Index of the corner of each list entry, ascending within a leaf.
         rounding: Largest error of a distance caused by rounding points to the lattice.
-        label: Text label of the file.
     """
 
     domain: Box
@@ -317,16 +296,14 @@ class PairsFileData:
 
     @property
     def cells(self) -> Cells:
-        """Return the cells of the leaves, in the tree's traversal order."""
         return self.tree.leaves
 
     @cached_property
     def points(self) -> Float[np.ndarray, "corners 2"]:
-        """Return the positions of the corners."""
+        """Positions of the corners."""
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
-        """Encode the file."""
         first, lists, count = BitWriter(), BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
@@ -404,7 +381,7 @@ class PairsFileData:
 
 
 def most_leaves(count: int) -> int:
-    """Return the largest number of leaves for a number of corners."""
+    """Return the largest number of leaves that a file with a number of corners may have."""
     return max(1, _MOST_NUMBERS // max(1, count))
 
 
@@ -418,7 +395,7 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """Read the leaves' corner lists; raise ``ValueError`` if they have more than ``most`` entries."""
+    """Read the corners that each leaf lists (leaf and corner of each entry); ``ValueError`` if there are too many."""
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:
