@@ -31,8 +31,8 @@ class MetricPairs:
         """Return approximate distances, also under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
 
         Points ``x`` and ``y``, ``(..., dim)`` (else ``ValueError``), NumPy or JAX, broadcast. Answers, ``(...)``, are
-        at least 0, symmetric to the last bit, and 0 for ``x == y`` in the box. They are ``inf`` outside the box and in leaves
-        without a pair of points that a path joins, NaN for NaN.
+        at least 0, symmetric to the last bit, and 0 for ``x == y`` in the box. They are ``inf`` outside the box and
+        in leaves without a pair of points that a path joins, NaN for NaN.
         """
         x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
