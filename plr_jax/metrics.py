@@ -72,8 +72,8 @@ def error_map(
             ``workspace.bounds.grid(resolution).reshape(-1, 2)``, where points that are not free count as unreachable.
 
     Raises:
-        ValueError: If ``x`` has another shape or no rows, the distance function is infinite at all points or NaN at
-            one, or a function returns a wrong shape.
+        ValueError: If ``x`` has another shape or no rows, no point has a finite distance and a finite approximation,
+            the distance function is NaN at a point, or a function returns a wrong shape.
     """
     x = as_points("x", x)
     if len(x) == 0:

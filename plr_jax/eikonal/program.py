@@ -83,7 +83,7 @@ class CellCosts:
 
     @cached_property
     def least_rate(self) -> float:
-        """The least cost of a motion of length 1, in any cell and direction."""
+        """A lower bound, at least 0, of the cost of any motion of length 1, in any cell and direction."""
         if self.pulls is None:
             return float(self.lower.min())
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
@@ -293,9 +293,9 @@ class SlopeProgram:
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         """Return each open (not blocked) cell's share of the gap between the lower bound and the cost of the flow.
 
-        It is the volume times the upper bound of the cost of the flow through the cell, minus the rise of the lower
-        bound along the flow (0 in mixed cells), at least 0. The sum approximates the integral of the true cost-to-go
-        minus the lower bound.
+        It is the volume times the excess, at least 0, of the flow's cost (its upper bound) over the rise of the lower
+        bound along the flow; the rise counts as 0 in mixed cells. The sum approximates the integral of the true
+        cost-to-go minus the lower bound.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T

@@ -88,7 +88,10 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Return the first free draws of a uniform sequence over the domain, and an estimate of the free volume."""
+    """Return the first free draws of a uniform sequence over the domain, and the free volume, estimated.
+
+    The volume is measured in the metric's weighted coordinates.
+    """
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)

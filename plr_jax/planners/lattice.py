@@ -177,7 +177,7 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Node to which each motion primitive (motion to a neighboring cell) leads from each node."""
+        """Node to which each motion primitive leads from each node; the node itself if the primitive is blocked."""
         return self._motions[0]
 
     @property

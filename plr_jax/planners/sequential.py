@@ -34,7 +34,7 @@ TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
-    """A disc's roadmap: positions where it touches both walls of a corner, and free straight motions between them."""
+    """A disc's roadmap: positions at which it rounds corners of walls, and free straight motions between them."""
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
@@ -102,7 +102,11 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return the disc's positions at corners, touching both walls; a sharp convex corner has two."""
+    """Return positions from which the disc's center rounds each corner; a sharp convex corner has two.
+
+    At a concave corner the disc touches both walls, at a convex corner the lines that extend them (one line each if
+    there are two positions).
+    """
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):

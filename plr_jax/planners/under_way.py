@@ -317,7 +317,7 @@ class _LifelongTeam:
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return the requested goals, but the previous goal of a robot whose requested goal overlaps another's."""
+        """Return the requested goals; robots keep previous goals, one by one, until no new goal overlaps another."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
         goals, before = self.requested_goals.copy(), self.problem.goals

@@ -94,7 +94,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return an SVG picture of the path at time 0; a script then moves its robots and trails."""
+    """Return an SVG picture of obstacles, goals, tracks, and bodies at the origin, which a script then moves."""
     bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'

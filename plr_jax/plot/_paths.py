@@ -124,7 +124,7 @@ def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
 
 
 def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Return the corners of a robot's body at a configuration, counterclockwise."""
+    """Return a polygon that draws a robot's body, counterclockwise; a point is a small disc, sized by `bounds`."""
     return placed(robot, body_outline(robot, bounds), q)
 
 

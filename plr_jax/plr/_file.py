@@ -80,10 +80,10 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain of the leaves and the numbers that a query reads for each leaf, both relative to an origin.
+    """Return the domain of the leaves relative to an origin, and the numbers that a query reads for each leaf.
 
-    With the domain's corner as origin, 32-bit floats hold both precisely. If points are folded (mirrored), both are
-    relative to the folding's center instead. Raises ``ValueError`` if 32-bit floats cannot hold them.
+    The numbers are relative to the lower corner of that domain, rounded to 32 bits. If points are folded (mirrored),
+    the folding's center is the origin. Raises ``ValueError`` if 32-bit floats cannot hold the numbers.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)

@@ -75,11 +75,14 @@ def bounds_of_tables(
     )
     lower = jnp.maximum(lower, 0)
     if straight is not None:
-        goal, rate, margin = jnp.split(straight.astype(value.dtype), [tables.dim, tables.dim + 1])
-        above = x.astype(value.dtype) - tables.frame[Frame.LO] - tables.frame[Frame.LO_REST]
-        square = jnp.sum(jnp.square(above - goal), axis=-1)
-        # At the goal a root of 0 would have no gradient.
-        line = jnp.sqrt(jnp.maximum(square, jnp.finfo(value.dtype).tiny)) * rate[0] - margin[0]
+        *goal, rate, margin = straight.astype(value.dtype)
+        frame, square = tables.frame.astype(value.dtype), jnp.zeros_like(value)
+        for axis, to in enumerate(goal):
+            along = x[..., axis].astype(value.dtype) - frame[Frame.LO, axis] - frame[Frame.LO_REST, axis]
+            square += jnp.square(along - to)
+        # The root of 0 has no gradient.
+        length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, jnp.ones_like(square))), square)
+        line = length * rate - margin
         lower = jnp.maximum(lower, jnp.minimum(line, value))  # no bound excludes the answer
     return jnp.where(value < jnp.inf, lower, value), jnp.where(value < jnp.inf, upper, value)
 
@@ -209,8 +212,7 @@ def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
 def _wrap(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
     """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one.
 
-    A compiler may fuse product and difference in one part of a query but not in another. That moves a point by one
-    rounding, but never from one end to the other, as the number of periods does not depend on it.
+    The product is kept from fusing with the difference, so that all parts of a query see the same point.
     """
     columns = [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:

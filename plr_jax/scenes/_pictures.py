@@ -132,7 +132,10 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 
 
 def _require_plain(picture: Any) -> None:
-    """Raise ``ValueError`` for pixels whose lightness or opacity Pillow does not decode reliably."""
+    """Raise ``ValueError`` for pixels whose lightness or opacity Pillow does not decode reliably.
+
+    Scale the transparent gray of 2- and 4-bit PNG files to 8 bits, as Pillow scales their pixels.
+    """
     raw = str(picture.tile[0][3]) if picture.tile else ""
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())

@@ -173,7 +173,10 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factor at configurations, and two vectors (pulls) each, as :func:`cost_bounds` does."""
+    """Return the cost factor at configurations and, for a ``DirectionalCost``, two vectors each (pulls), else None.
+
+    With pulls ``a`` and ``b``, a motion ``dq`` costs its length times the factor, plus ``max(a @ dq, b @ dq)``.
+    """
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls

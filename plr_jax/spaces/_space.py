@@ -71,7 +71,7 @@ class MotionCost:
         return self.norm(np.eye(self.dof))
 
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
-        """Return the costs of straight motions, ``(n,)``; NaN where a configuration is not finite.
+        """Return the costs of straight motions, ``(n,)``; NaN or ``inf`` where a configuration is not finite.
 
         Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
         obstacles. Wrong shapes, or a domain of another dimension, raise ``ValueError``.

@@ -1,3 +1,5 @@
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds
@@ -11,6 +13,7 @@ from plr_jax import (
     CellState,
     DiscRobot,
     PlaneSpace,
+    RasterCost,
     RectangleRobot,
     RigidBodySpace,
     Roadmap,
@@ -149,6 +152,27 @@ def test_lower_bounds_in_free_space_are_the_straight_line_in_every_reader(corner
     for lower in (plr.bounds(x)[0], plr.numpy().bounds(x)[0], from_bytes(plr.to_bytes()).lower(x)):
         assert (np.asarray(lower, float) <= distance).all()
         np.testing.assert_allclose(lower, distance, rtol=2e-6, atol=2e-5)
+
+
+@pytest.mark.parametrize(("width", "rate"), [(1e20, 1e-10), (1e-20, 1e10), (1e-14, 1.0), (1e14, 1.0)])
+def test_lower_bounds_hold_where_squares_of_lengths_exceed_32_bits(width, rate):
+    cost = RasterCost(np.full((2, 2), rate), ((0, 0), (width, width)))
+    goal = np.array([0.3, 0.4]) * width
+    plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=40)
+    x = np.append(np.random.default_rng(0).random((2000, 2)) * width, goal[None], axis=0)
+    distance = rate * np.linalg.norm(x - goal, axis=1)
+    for lower in (plr.bounds(x)[0], plr.numpy().bounds(x)[0]):
+        assert (np.asarray(lower, float) <= distance * (1 + 1e-12)).all()
+
+
+def test_bounds_are_answered_under_strict_promotion_of_ranks_and_types():
+    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2, 1), max_leaves=40)
+    x = np.random.default_rng(0).random((20, 3), np.float32)
+    expected = plr.bounds(x)
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+        np.testing.assert_array_equal(plr.bounds(x), expected)
+        np.testing.assert_array_equal(plr.lower(jnp.asarray(x)), expected[0])
+    assert np.isfinite(jax.grad(plr.lower)(jnp.array([1.3, 2, 1]))).all()  # at the goal
 
 
 def test_bounds_hold_around_a_box_in_space():
