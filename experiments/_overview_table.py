@@ -60,7 +60,8 @@ def overview(
             f"exact distances, {_MAP}: preparation; one point",
             f"{prepare:.2g} s; {alone:,.0f} us alone, {query:.2g} us in a batch",
             f"extremitypathfinder {rival['prepare']:.2g} s; {1e6 * rival['query']:,.0f} us",
-            f"**ours**, {rival['prepare'] / prepare:.0f} and {_two_digits(1e6 * rival['query'] / alone)} times faster",
+            f"**ours**, {rival['prepare'] / prepare:.0f} and {_two_digits(1e6 * rival['query'] / alone)} "
+            "times faster",
             "[time](#time)",
         ],
         [
@@ -72,7 +73,8 @@ def overview(
             "[all pairs](#all-pairs)",
         ],
         [
-            f"costs that vary, {len({row['map'] for row in estimates})} fields: mean error of as many leaves as nodes",
+            f"costs that vary, {len({row['map'] for row in estimates})} fields: mean error of as many leaves "
+            "as nodes",
             "1",
             f"scikit-fmm {1 / max(ratios):.1f} to {1 / min(ratios):.0f}",
             f"**ours** for each stored number, by a finer march; scikit-fmm in time, {_two_digits(slower)} times",
@@ -88,7 +90,8 @@ def overview(
         ],
         [
             "4-connected distances inside `jit`, mazes of 11 x 11, levels a CPU second",
-            f"to one goal {levels['moves=4, all cells']:,.0f}; all pairs {levels['moves=4, all pairs of cells']:,.0f}",
+            f"to one goal {levels['moves=4, all cells']:,.0f}; all pairs "
+            f"{levels['moves=4, all pairs of cells']:,.0f}",
             f"JaxNav, one pair {levels['JaxNav dikstra_path, one pair']:,.0f}; "
             f"jaxgmg, all pairs {levels['jaxgmg maze_distances, all pairs']:,.0f}",
             f"**ours**, {levels['moves=4, all cells'] / levels['JaxNav dikstra_path, one pair']:.0f} and "

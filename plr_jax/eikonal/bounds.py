@@ -43,7 +43,7 @@ _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-1
 # times the largest lower bound if that is more.
 _OFF, _NEAR = 0.1, 0.01
 
-# Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold, and of costs.
+# Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
@@ -363,7 +363,7 @@ def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks
     sizes = np.array([largest, costs.least_rate * largest])
-    if others or domain.is_periodic or not ((_TINIEST < sizes) & (sizes < _LARGEST)).all():
+    if others or domain.is_periodic or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all():
         return None
     goal = field.paths.points[-1] * domain.width
     rate = (1 - _OF_LENGTHS) * weight * costs.least_rate
