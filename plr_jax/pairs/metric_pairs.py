@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import as_queries, shortened
@@ -14,6 +15,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
+from plr_jax.plr.frame import Frame
 
 
 @jax.tree_util.register_dataclass
@@ -38,18 +40,26 @@ class MetricPairs:
         for name, points in (("x", x), ("y", y)):
             if points.ndim == 0 or points.shape[-1] != self.dim:
                 raise ValueError(f"{name} must be points of shape (..., {self.dim}), got {points.shape}.")
-        on_host = isinstance(x, np.ndarray) and isinstance(y, np.ndarray)
+        on_host = all(isinstance(each, np.ndarray) for each in (x, y)) and not isinstance(self.plr.file, Tracer)
         module: Any = np if on_host else jnp  # NumPy points keep 64 bits
         x, y = module.broadcast_arrays(x, y)
-        domain = self.plr.domain
-        lo, hi, periodic = domain.lo[: self.dim], domain.hi[: self.dim], np.array(domain.periodic[: self.dim])
+        lo, hi, periodic = self._ends()
         if periodic.any():  # the PLR was built of wrapped points, so these are what is ordered
-            lo, hi, x, y = (each.astype(module.result_type(x, y, np.float32)) for each in (lo, hi, x, y))
+            lo, hi, x, y = (module.asarray(each, module.result_type(x, y, np.float32)) for each in (lo, hi, x, y))
             x, y = (module.where(periodic, lo + (p - lo) % (hi - lo), p) for p in (x, y))
         swaps = _comes_later(x, y)[..., None]
         value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
         is_one_point = ((x == y) & (lo.astype(x.dtype) <= x) & (x <= hi.astype(x.dtype))).all(axis=-1)
         return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
+
+    def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:
+        """Return the corners of the box, and which axes wrap; from the tables if JAX traces the file."""
+        periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
+        if not isinstance(self.plr.file, Tracer):
+            domain = self.plr.domain
+            return domain.lo[: self.dim], domain.hi[: self.dim], periodic
+        frame = self.plr.tables.frame[:, : self.dim]
+        return frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST], periodic
 
     @property
     def dim(self) -> int:

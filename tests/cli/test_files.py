@@ -119,11 +119,11 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
     assert (tmp_path / "grid.tables").read_bytes() == header.table
     for arguments, message in (
         (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, which only C headers support"),
-        (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
+        (["export", points, "-o", tmp_path / "a.h"], "any two points: give one of them with --goal"),
         (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
-        (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),
-        (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "only the distance is drawn"),
-        (["query", points, "--gradient"], "--gradient is for PLRs"),
+        (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one of them with --goal"),
+        (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "--kind must be distance"),
+        (["query", points, "--gradient"], "--gradient needs a file of a PLR"),
     ):
         assert message in mistake(*arguments, input="")
     assert "holds      GridPairs\n" in done("info", grid)

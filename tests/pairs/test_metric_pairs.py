@@ -55,6 +55,7 @@ def test_a_line_that_closes():
     np.testing.assert_allclose(pairs(x + 3, y - 2), pairs(x, y), atol=1e-5)  # whole turns change nothing
     assert float(pairs(np.array([0.9]), np.array([1.1]))) == pytest.approx(0.2, abs=0.01)
     np.testing.assert_array_equal(pairs(np.full((1, 1), 0.25), np.full((1, 1), 4.25)), 0)
+    np.testing.assert_allclose(jax.jit(lambda f: f(x + 3, y - 2))(pairs), pairs(x, y), atol=1e-5)
 
 
 def test_equal_points_outside_the_box_are_infinitely_far(pairs):
