@@ -85,37 +85,11 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     return Pattern(u, weight)
 
 
-# Direction numbers of Joe and Kuo for the first axes: degree and inner coefficients of a primitive polynomial, then
-# the initial numbers. SciPy has them for 21,201 axes, but takes 0.35 s to import.
-_DIRECTIONS = ((0, 0, ()), (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)))
-_SOBOL_BITS = 30
-
-
 def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    """Return a scrambled Sobol sequence in ``[-1, 1]``, bit for bit as from ``scipy.stats.qmc.Sobol``.
+    from scipy.stats import qmc  # takes a third of a second
 
-    References:
-        Matousek, "On the L2-discrepancy for anchored boxes", 1998, for the scrambling.
-    """
-    if dim > len(_DIRECTIONS):
-        from scipy.stats import qmc
-
-        return 2 * qmc.Sobol(dim, rng=rng).random_base2(max(num_points - 1, 0).bit_length())[:num_points] - 1
-    place, rng = np.arange(_SOBOL_BITS)[::-1], rng.spawn(1)[0]
-    numbers = np.ones((dim, _SOBOL_BITS), np.int64)
-    for row, (degree, inner, first) in zip(numbers, _DIRECTIONS, strict=False):
-        row[:degree] = first
-        for k in range(degree, _SOBOL_BITS * (degree > 0)):
-            row[k] = row[k - degree] ^ (row[k - degree] << degree)
-            for i in range(1, degree):
-                row[k] ^= (inner >> (degree - 1 - i) & 1) * (row[k - i] << i)
-    bits = (numbers << place)[:, :, None] >> place & 1
-    shift = rng.integers(2, size=(dim, _SOBOL_BITS)) @ (1 << place[::-1])
-    lower = np.tril(rng.integers(2, size=(dim, _SOBOL_BITS, _SOBOL_BITS)), -1) + np.eye(_SOBOL_BITS, dtype=np.int64)
-    scrambled = bits @ lower.transpose(0, 2, 1) % 2 @ (1 << place)
-    gray = np.arange(num_points) ^ (np.arange(num_points) >> 1)
-    chosen = np.where((gray[:, None] >> place[::-1] & 1)[:, None] == 1, scrambled, 0)
-    return 2 * (np.bitwise_xor.reduce(chosen, axis=2) ^ shift) * 2.0**-_SOBOL_BITS - 1
+    exponent = max(num_points - 1, 0).bit_length()
+    return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
 
 
 # COMPUTECOEFFICIENTS of Algorithm 1: batched least squares.
