@@ -146,7 +146,7 @@ def _rival(rival: str, oracle: VisibilityGraph, seed: int, too_slow: str | None)
     if too_slow is not None:
         return {"skipped": f"over the limit of {RIVAL_LIMIT:g} s on {too_slow}, which has fewer vertices"}
     x = oracle.workspace.sample_free(NUM_QUERIES, seed + 2)
-    task = {**_polygons(oracle.workspace, oracle.goal), "rival": rival, "goal": oracle.goal.tolist()}
+    task = {**polygons_of(oracle.workspace, oracle.goal), "rival": rival, "goal": oracle.goal.tolist()}
     task |= {"queries": x.tolist(), "query_limit": QUERY_LIMIT}
     script = Path(__file__).parent / "_exact_rivals.py"
     try:
@@ -167,7 +167,7 @@ def _rival(rival: str, oracle: VisibilityGraph, seed: int, too_slow: str | None)
     return {**report, "largest_difference": float(difference[~unanswered].max(initial=0.0))}
 
 
-def _polygons(workspace: Workspace, goal: Float[np.ndarray, "2"]) -> dict[str, Any]:
+def polygons_of(workspace: Workspace, goal: Float[np.ndarray, "2"]) -> dict[str, Any]:
     """The connected part of free space that holds the goal, in the terms of both rivals."""
     width = float(workspace.bounds.width.max())
     touching = len(workspace.boundary.contacts) > 0 and not workspace.squeeze
