@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import _distance_tables as distances
+from experiments import _first_tables as first
 from experiments import _overview_table as winners
 from experiments import _use_tables as uses
 from experiments._runner import RESULTS, read
@@ -94,6 +95,10 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "shaping": (uses.shaping, "shaping.learning", "shaping.speed"),
     "families": (distances.families, "families"),
     "query": (distances.query, "benchmark.query"),
+    "first_answers": (first.fresh, "first_answers.fresh"),
+    "small_costs": (
+        *(first.small_costs, "first_answers.certified", "first_answers.one_query", "first_answers.pair_queries"),
+    ),
     "oracle": (distances.oracle, "benchmark.oracle"),
     "pictures": (uses.pictures, "maps"),
     "readers": (uses.readers, "portable"),

@@ -40,6 +40,7 @@ FAMILIES = {
     "compare_summaries": ("--only", "maze_straight_line", "maze_polygon"),
     "teams": ("--only", "unseen"),
     "portable": ("--only", "query"),
+    "first_answers": ("--only", "one_query"),
     "grid_distance": ("--only", "rooms"),
     "shaping": ("--only", "learning"),
     "costs": ("--only", "estimates"),

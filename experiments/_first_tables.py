@@ -1,0 +1,34 @@
+"""Tables of experiments/README.md about first answers and other small costs."""
+
+from typing import Any
+
+from experiments._tables import formatted, markdown
+
+
+def fresh(results: dict[str, Any]) -> str:
+    """Return CPU seconds of new processes, each question's programs below one another, and their errors."""
+    table = formatted(
+        results["rows"],
+        *(("question", "{question}"), ("by", "{by}"), ("CPU s", "{cpu_seconds:.2f}")),
+        *(("mean error", "{mean:.2g}"), ("largest", "{largest:.2g}")),
+        words=2,
+    )
+    return table + (
+        f"\nMedians of {results['turns']} processes. Errors are shares of the mean distance. Truths: the exact oracle; "
+        "for costs a march over 3,201 x 1,601 nodes.\n"
+    )
+
+
+def small_costs(certified: dict[str, Any], alone: dict[str, Any], pairs: dict[str, Any]) -> str:
+    """Return the CPU time of proofs, of single exact queries and of pairs on large maps."""
+    rows = [["what", "map", "CPU"]]
+    for row in certified["rows"]:
+        size = f"{row['bytes']:,} bytes"
+        seconds = f"{row['cpu_with']:.2f} s with, {row['cpu_without']:.2f} s without: {row['ratio']:.2f} times"
+        rows.append([f"cones of {size}, with a proof", row["map"], seconds])
+    for row in alone["rows"]:
+        rows.append(["one exact distance to the goal", row["map"], f"{row['goal_ms']:.3f} ms"])
+        rows.append(["one exact distance of two points", row["map"], f"{row['between_ms']:.3f} ms"])
+    for row in pairs["rows"]:
+        rows.append([f"one of {pairs['pairs']:,} pairs, {row['bytes']:,} bytes", row["map"], f"{row['us']:.2f} us"])
+    return markdown(rows, numbers=1)
