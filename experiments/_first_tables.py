@@ -6,7 +6,7 @@ from experiments._tables import formatted, markdown
 
 
 def fresh(results: dict[str, Any]) -> str:
-    """Return CPU seconds of new processes, each question's programs below one another, and their errors."""
+    """Return CPU seconds and errors of new processes, one row for each program."""
     table = formatted(
         results["rows"],
         *(("question", "{question}"), ("by", "{by}"), ("CPU s", "{cpu_seconds:.2f}")),
