@@ -388,7 +388,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
     """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has no such form.
 
-    A file has no room for several goals. The margin covers rounding of coordinates to 32 bits, the rate covers rounding of the length.
+    A file stores one goal at most. The margin covers rounding of coordinates to 32 bits, the rate covers rounding of
+    the length.
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())

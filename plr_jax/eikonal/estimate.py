@@ -7,8 +7,8 @@
 
 Walls are moved to the nearest nodes. Many nodes cost less time than a correction for this would.
 
-With several goals, one front starts from all of them. Which goal a node's path leads to is known around the goals, and
-follows elsewhere from the differences of costs by which the march goes.
+With several goals, one front starts from all of them. Near the goals it is known to which of them the path of a node
+leads. Elsewhere this follows from the differences of costs.
 
 References:
     Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
@@ -17,7 +17,7 @@ References:
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import gcd, prod
+from math import gcd
 from typing import Any, cast
 
 import numpy as np
@@ -62,6 +62,7 @@ _NEAR_GOALS = 4  # most goals to which each node has a straight motion
 _CHECK_BITS = 8  # of the code of a goal that is found among several
 
 Points = Float[np.ndarray, "n dim"]
+Goals = Float[np.ndarray, "goals dim"]
 Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 IsOpen = Bool[np.ndarray, "*shape"]
@@ -78,15 +79,15 @@ class GridEstimate:
     Attributes:
         at_goals: Factors of the norm and pulls (see :class:`CellCosts`) of the cost of motions at the goals; pulls
             may be None.
-        ratio: The cost-to-go, divided by the cost of the straight motion to the goal if all motions cost as at the
-            goal; if there are several goals, divided by the distance to the nearest.
+        ratio: The cost-to-go, divided by the cost of the straight motion to a goal if all motions cost as at the
+            goal, or by the distance to the nearest of several goals.
         cost: The cost-to-go at each node; ``inf`` where no path leads to a goal.
         known_goal: The goals to which the paths of some nodes lead, else -1.
         unseen: Indices of the goals that no node sees.
     """
 
     space: ConfigurationSpace
-    goals: Float[np.ndarray, "goals dim"]
+    goals: Goals
     at_goals: tuple[Float[np.ndarray, "goals"], Float[np.ndarray, "2 goals dim"] | None]
     ratio: GridField
     cost: Costs
@@ -106,7 +107,10 @@ class GridEstimate:
         return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal to which the shortest path from each point of the domain leads."""
+        """Return the index of the goal to which the shortest path from each point of the domain leads.
+
+        Where no adjacent node reaches a goal, it is the goal of the nearest node that does.
+        """
         box, shape = self.ratio.bounds, np.array(self.cost.shape)
         place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
         goal = self.node_goal[tuple(np.clip(place, 0, shape - 1).T)]
@@ -195,15 +199,27 @@ def _straight_costs(
     )
 
 
-def _divisors(space: ConfigurationSpace, goals: Points, at_goals: Any, x: Points) -> Float[np.ndarray, "n"]:
-    """Return numbers by which costs-to-go are divided before they are interpolated, since both have kinks at goals."""
-    if len(goals) == 1:
-        return _straight_costs(space, at_goals, space.domain.difference(np.broadcast_to(goals[0], x.shape), x))
-    return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
+def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Any, x: Points) -> Float[np.ndarray, "n"]:
+    """Return the numbers by which costs-to-go are divided for interpolation. Both have the same kinks at goals."""
+    if _is_euclidean(space, goals, at_goals):
+        return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
+    least = np.full(len(x), np.inf)
+    for number, goal in enumerate(goals):
+        some = slice(number, number + 1)
+        at = at_goals[0][some], None if at_goals[1] is None else at_goals[1][:, some]
+        least = np.minimum(
+            least, _straight_costs(space, at, space.domain.difference(np.broadcast_to(goal, x.shape), x))
+        )
+    return least
+
+
+def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Any) -> bool:
+    """Return whether divisors are distances to several goals: quicker than costs, whose ratio differs by a factor."""
+    return len(goals) > 1 and len(space.motion_cost.blocks) == 1 and at_goals[1] is None
 
 
 def grid_estimate(
-    space: ConfigurationSpace, cost_map: CostMap | None, goals: Float[np.ndarray, "goals dim"], num_leaves: int = 0
+    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:
     """Estimate the cost-to-go on a grid of some 160,000 nodes in the plane, 200,000 to a million in space.
 
@@ -280,7 +296,7 @@ def grid_estimate(
     else:
         cost, known = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, known, side)
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
-    at_goal = np.ones(shape) if len(goals) == 1 else at_nearest.copy()
+    at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
     ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
     return GridEstimate(space, goals, at_goals, GridField(ratio.T, box), cost, known, np.flatnonzero(~is_seen))
 

@@ -6,7 +6,6 @@ is estimated to be farthest below the truth.
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -125,62 +124,65 @@ def solve_eikonal(
             f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
         )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
-    domain = space.domain
-    goals = as_numbers("goal", goal, f"a goal ({domain.dim},) or several goals (k, {domain.dim})")
-    is_one = goals.ndim == 1
-    goals = goals[None] if is_one else goals
-    if goals.ndim != 2 or goals.shape[1] != domain.dim or not len(goals):
+    domain, goal = space.domain, as_numbers("goal", goal, "numbers, (dim,) or (k, dim)")
+    if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
+        got = f"{goal.size}" if goal.ndim == 1 else f"shape {goal.shape}"
         raise ValueError(
-            f"goal must have {domain.dim} coordinates, as the space has axes, got {np.size(goal)}."
-            if is_one
-            else f"goal must be a goal ({domain.dim},) or several goals (k, {domain.dim}), as the space has "
-            f"{domain.dim} axes, got shape {goals.shape}."
+            f"goal must have {domain.dim} coordinates, as the space has axes, or be rows of these, got {got}."
         )
+    goals = np.atleast_2d(goal)
     at = (domain.wrapped(goals) - domain.lo) / domain.width
     is_fine = (np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1)  # False for NaN
-    is_fine[is_fine] = as_booleans("is_free", space.is_free(goals[is_fine]), np.count_nonzero(is_fine))
-
-    def require(is_fine: Bool[np.ndarray, "goals"], expected: str, advice: str) -> None:
-        if not is_fine.all():
-            row = int(is_fine.argmin())
-            of = "" if is_one else f" (row {row} of goal)"
-            raise ValueError(f"{expected}, {goals[row].tolist()}{of} is not{advice}.")
-
-    require(is_fine, "goal must be a free configuration of the space", "")
+    if is_fine.all():
+        is_fine = as_booleans("is_free", space.is_free(goals), len(goals))
+    _require_goals(goal, is_fine, "goal must be a free configuration of the space")
     # Of equal goals, the first counts.
     at, first = np.unique(np.clip(at, 0.0, 1.0), axis=0, return_index=True)
     at, first = at[np.argsort(first)], np.sort(first)
-
-    def with_goals(plr: PLR, which: Callable[[np.ndarray], np.ndarray]) -> PLR:
-        plr.nearest_goal = None if is_one else lambda x: first[which(x)]
-        return plr
-
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
-        nodes = " x ".join(map(str, guide.cost.shape))
-        is_seen = ~np.isin(np.arange(len(goals)), first[guide.unseen])
-        advice = ": it is too close to obstacles. Move it, or leave out certified=False"
-        require(is_seen, f"The goal must be seen from a node of the grid of {nodes} nodes", advice)
+        nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
+        is_seen[first[guide.unseen]] = False
+        _require_goals(
+            goal,
+            is_seen,
+            f"The goal must be seen from a node of the grid of {nodes} nodes",
+            ": it is too close to obstacles. Move it, or leave out certified=False",
+        )
         _require_costs(guide.largest)
         limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
-        # The free space of a turning body is thin: continuous leaves would reach through its walls.
         if len(space.motion_cost.blocks) > 1:
-            return with_goals(construct(guide, domain, leaf="plane", **limits), guide.which)
-        options = BuildOptions(should_split=partial(_error_or_cut_off, space))
-        return with_goals(construct(guide, domain, leaf="continuous", options=options, **limits), guide.which)
-    most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
-    check_memory(2.0 * most, _BYTES_A_CELL / 2)
-    field = _field(cells, cost_map, at, most, tolerance)
-    estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
-    _require_costs(float(estimate.corner_values.max()))
-    most_bytes = math.inf if max_bytes is None else float(max_bytes)
-    if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes and (
-        plr := plr_on_mesh(estimate, proven, most_bytes)
-    ):
-        return with_goals(plr, field.which)
-    return with_goals(plr_of_bytes(estimate, int(most_bytes), int(seed), proven), field.which)
+            # The free space of a turning body is thin: continuous leaves would reach through its walls.
+            plr = construct(guide, domain, leaf="plane", **limits)
+        else:
+            options = BuildOptions(should_split=partial(_error_or_cut_off, space))
+            plr = construct(guide, domain, leaf="continuous", options=options, **limits)
+        which = lambda x: np.where(np.isfinite(guide(x)), guide.which(x), -1)  # noqa: E731
+    else:
+        most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
+        check_memory(2.0 * most, _BYTES_A_CELL / 2)
+        field = _field(cells, cost_map, at, most, tolerance)
+        estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
+        _require_costs(float(estimate.corner_values.max()))
+        most_bytes, on_mesh = math.inf if max_bytes is None else float(max_bytes), None
+        if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes:
+            on_mesh = plr_on_mesh(estimate, proven, most_bytes)
+        plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
+        which = field.which
+    if goal.ndim > 1:
+        plr.nearest_goal = lambda x: np.append(first, -1)[which(x)]
+    return plr
+
+
+def _require_goals(
+    goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, "goals"], must: str, why: str = ""
+) -> None:
+    if not is_fine.all():
+        row = int(is_fine.argmin())
+        of = f" (row {row})" if goal.ndim > 1 else ""
+        raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of} is not{why}.")
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:

@@ -65,7 +65,7 @@ class PLR(FileBacked):
         """Wrap a valid PLR file, padded by :func:`padded_file`; ``build_inputs`` serve :meth:`updated` alone."""
         self.file = file
         self.build_inputs = build_inputs
-        self.nearest_goal: Callable[[np.ndarray], Int[np.ndarray, "n"]] | None = None
+        self.nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None
 
     @cached_property
     def tables(self) -> Tables:
@@ -226,11 +226,12 @@ class PLR(FileBacked):
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal that is nearest to each point ``(n, dim)``, -1 where the PLR is not finite.
+        """Return the index of the goal that is nearest to each point ``(n, dim)``, -1 where no goal is reached.
 
         Only for a PLR of several goals as :func:`solve_eikonal` returned it. Files do not store which goal is
         nearest, and a PLR that a jitted function takes or returns does not know it. Like the distance, the answer is
         an estimate: where two goals are about equally near, it may be the other one. Of equal goals it is the first.
+        It is -1 wherever the PLR is not finite.
 
         Raises:
             ValueError: If the PLR does not know its goals, or points have another shape.
