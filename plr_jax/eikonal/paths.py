@@ -76,16 +76,16 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _along(next_, leg), np.arange(len(next_))
-    blocked = np.full((2, len(next_)), -1)  # targets of the last tests that failed
+    tested, found = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
     for _ in range(_ROUNDS):
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
             gains = graph.least_costs(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-            some = np.flatnonzero(gains & (ahead != blocked).all(axis=0))
-            straight = np.full(len(next_), np.inf)
-            straight[some] = graph.straight_costs(some, ahead[some])
-            blocked[kind, some[np.isinf(straight[some])]] = ahead[some[np.isinf(straight[some])]]
+            straight = np.where(ahead == tested, found, np.inf).min(axis=0)
+            some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
+            straight[some] = found[kind, some] = graph.straight_costs(some, ahead[some])
+            tested[kind, some] = ahead[some]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
             cost = _along(next_, leg)
