@@ -252,12 +252,13 @@ def grid_estimate(
     straight, known = np.full(shape, np.inf), np.full(shape, -1)
     lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
     for rank, index in enumerate(nearest.T):
-        rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion.scale.max() * reach)) if rank else ...
+        rows = np.arange(len(flat))
+        if rank:
+            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion.scale.max() * reach))
         to_goal = domain.difference(goals[index[rows]], flat[rows])
         length = np.linalg.norm(to_goal, axis=1)
         if rank == 0:
             lengths = length.reshape(shape)
-            rows = np.arange(len(flat))
         some = np.flatnonzero(is_open.ravel()[rows] & (length < reach))
         near, change = rows[some], to_goal[some]
         sees = space.are_free(flat[near], flat[near] + change)
@@ -500,6 +501,6 @@ def _over_stencil(
     begin, end = np.concatenate([*begin, near]), np.concatenate([*end, last])
     weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
     graph = csr_array((weight, (end, begin)), shape=(size, size))
-    costs, _, source = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
-    found = np.where(np.isfinite(costs), source - num, -1)
-    return costs[:num].reshape(shape), found[:num].reshape(shape)
+    found: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
+    to_goals, _, source = (each[:num].reshape(shape) for each in found)
+    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)

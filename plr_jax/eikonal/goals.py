@@ -1,8 +1,10 @@
 """Which of several goals are nearest in a straight line."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import MotionCost
@@ -29,5 +31,6 @@ def nearest_goals(
         q = (domain.wrapped(points) - domain.lo) * scale
         return np.where((period > 0) & (q >= period), 0.0, q)
 
-    distance, index = cKDTree(placed(goals), boxsize=period).query(placed(x), list(range(1, count + 1)))
+    tree: Any = KDTree(placed(goals), boxsize=period)
+    distance, index = tree.query(placed(x), list(range(1, count + 1)))
     return distance, index.astype(np.int64)

@@ -132,7 +132,7 @@ def solve_eikonal(
         )
     goals = np.atleast_2d(goal)
     at = (domain.wrapped(goals) - domain.lo) / domain.width
-    is_fine = (np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1)  # False for NaN
+    is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
     if is_fine.all():
         is_fine = as_booleans("is_free", space.is_free(goals), len(goals))
     _require_goals(goal, is_fine, "goal must be a free configuration of the space")
