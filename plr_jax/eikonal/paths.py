@@ -82,7 +82,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
             gains = graph.least_costs(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-            straight = np.where(ahead == tested, found, np.inf).min(axis=0)
+            straight = np.where(gains & (ahead == tested), found, np.inf).min(axis=0)
             some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
             straight[some] = found[kind, some] = graph.straight_costs(some, ahead[some])
             tested[kind, some] = ahead[some]
