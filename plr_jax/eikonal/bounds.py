@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
+from plr_jax.eikonal.goals import nearest_goals
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
@@ -35,6 +36,7 @@ from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxe
 
 # Most voxels of spaces in which paths from voxel to voxel give upper bounds.
 _MOST_VOXELS = 1 << 24
+_VOXEL_GOALS = 8  # goals to which such paths lead; any of all goals serve
 _PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
 # Step of stored values as a share of the mean gap between the bounds; least step as a share of the largest value.
@@ -75,9 +77,10 @@ class CostToGoField:
 
     Attributes:
         program: The convex program for the lower bound.
-        values: Its solution, 0 at the goal; slopes may be a little too large before they are rescaled.
+        values: Its solution, at most 0 at goals; slopes may be a little too large before they are rescaled.
         paths: The paths from nodes to the goal that give the upper bound.
         nodal_estimate: An estimate at the nodes (corners of cells) of the mesh; ``inf`` if there is none.
+        nodal_goal: The goal to which the path of this estimate leads from each node; None if there is a ``guide``.
         space: The configuration space.
         guide: An estimate at any point, interpolated on a grid; None beyond three axes.
     """
@@ -86,12 +89,17 @@ class CostToGoField:
     values: Float[np.ndarray, "dofs"]
     paths: NodePaths
     nodal_estimate: Float[np.ndarray, "nodes"]
+    nodal_goal: Int[np.ndarray, "nodes"] | None
     space: ConfigurationSpace
     guide: GridEstimate | None
 
     @property
     def mesh(self) -> Mesh:
         return self.program.space.mesh
+
+    @property
+    def goals(self) -> Points:
+        return self.mesh.domain.at(self.program.at)
 
     @cached_property
     def _nodal(self) -> Float[np.ndarray, "cells nodes"]:
@@ -106,8 +114,12 @@ class CostToGoField:
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
-        to_goal = mesh.domain.difference(mesh.domain.at(self.paths.points), mesh.domain.at(self.paths.points[-1:]))
-        return np.maximum(proven, (costs.least_rate * costs.motion.norm(to_goal))[mesh.corners])
+        places = mesh.domain.at(self.paths.points)
+        if len(self.goals) == 1:
+            straight = costs.motion.norm(mesh.domain.difference(places, self.goals))
+        else:
+            straight = nearest_goals(self.goals, mesh.domain, costs.motion, places)[0][:, 0]
+        return np.maximum(proven, (costs.least_rate * straight)[mesh.corners])
 
     @cached_property
     def _corner_costs(self) -> CellCorners:
@@ -136,6 +148,22 @@ class CostToGoField:
         values = np.zeros(mesh.corners.shape)
         values[cell] = np.minimum(lower[cell] + _filled(np.maximum(excess, 0.0), node), upper[cell])
         return MeshEstimate(mesh, values)
+
+    def which(self, x: Points) -> CellIndex:
+        """Return the index of the goal to which the shortest path from each point of the domain leads."""
+        mesh = self.mesh
+        if self.nodal_goal is None:
+            assert self.guide is not None
+            return self.guide.which(x)
+        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
+        node = mesh.corners[mesh.locate(at)]
+        to = mesh.domain.difference(mesh.domain.at(mesh.nodes[node]), x[:, None])
+        straight = self.program.costs.motion.norm(to.reshape(-1, mesh.dim)).reshape(node.shape)
+        total = self.nodal_estimate[node] + straight * self.program.costs.least_rate
+        best = node[np.arange(len(x)), total.argmin(axis=1)]
+        distance, nearest = nearest_goals(self.goals, mesh.domain, self.program.costs.motion, x)
+        is_near = distance[:, 0] * self.program.costs.least_rate <= total.min(axis=1)
+        return np.where(is_near | np.isinf(self.nodal_estimate[best]), nearest[:, 0], self.nodal_goal[best])
 
     @property
     def mean_gap(self) -> float:
@@ -188,20 +216,23 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return, at the corners of boxes, linear lower bounds of the cost of straight motions to the goal.
+        """Return, at the corners of boxes, concave lower bounds of the cost of straight motions to the nearest goal.
 
-        They are tangent to the least cost of these motions at the middle of the box; 0 if an axis is periodic.
+        To the goal nearest to the middle of the box, they are tangent to the least cost of these motions there. To
+        others, they are the cost from the middle less that of half a diagonal. They are 0 if an axis is periodic.
         """
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
-        goal = domain.at(self.paths.points[-1])
+        distance, nearest = nearest_goals(self.goals, domain, costs.motion, (lo + hi) / 2, 2)
+        goal = self.goals[nearest[:, 0]]
         middle, slope = (lo + hi) / 2 - goal, np.zeros_like(lo)
         for axes, weight in costs.motion.blocks:
             length = np.linalg.norm(middle[:, axes], axis=1, keepdims=True)
             slope[:, axes] = weight * middle[:, axes] / np.maximum(length, np.finfo(float).tiny)
-        corners = lo[:, None] + (hi - lo)[:, None] * bits - goal
-        return costs.least_rate * np.einsum("nk,nck->nc", slope, corners)
+        corners = lo[:, None] + (hi - lo)[:, None] * bits - goal[:, None]
+        others = distance[:, 1] - np.linalg.norm(costs.motion.scale * (hi - lo) / 2, axis=1)
+        return costs.least_rate * np.minimum(np.einsum("nk,nck->nc", slope, corners), others[:, None])
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
@@ -357,15 +388,16 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
     """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has no such form.
 
-    The margin covers rounding of coordinates to 32 bits, the rate covers rounding of the length.
+    A file stores one goal at most. The margin covers rounding of coordinates to 32 bits, the rate covers rounding of
+    the length.
     """
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks
     sizes = np.array([largest, costs.least_rate * largest])
-    if others or domain.is_periodic or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all():
+    if others or domain.is_periodic or len(field.goals) > 1 or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all():
         return None
-    goal = field.paths.points[-1] * domain.width
+    goal = field.program.at[0] * domain.width
     rate = (1 - _OF_LENGTHS) * weight * costs.least_rate
     return np.array([*goal, rate, 8 * UNIT * rate * largest], np.float32).astype(np.float64)
 
@@ -383,16 +415,18 @@ def _above_voxel_paths(
     on to the goal. These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, for very
     many voxels, and for other than three axes.
     """
-    grid, goal = space.grid, space.domain.at(field.paths.points[-1])
+    grid = space.grid
     above = np.full(len(cells), np.inf)
     if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
         return above
-    # 1. Lengths of paths from centers of voxels to the goal, through the center of a free voxel that holds it.
-    ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]
-    holds = next(at for at in product(*ends.T.tolist()) if grid.padded[at])
-    center = space.domain.at((np.array(holds) - 0.5) / space.free.shape)
-    last = float(np.linalg.norm(goal - center))
-    lengths = VoxelGraph(space.free, center, bounds=space.domain).lengths + last
+    # 1. Lengths of paths from centers of voxels to goals, through the center of a free voxel that holds the goal.
+    lengths = np.full(grid.padded.shape, np.inf)
+    for goal in field.goals[:_VOXEL_GOALS]:
+        ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]
+        holds = next(at for at in product(*ends.T.tolist()) if grid.padded[at])
+        center = space.domain.at((np.array(holds) - 0.5) / space.free.shape)
+        last = float(np.linalg.norm(goal - center))
+        lengths = np.minimum(lengths, VoxelGraph(space.free, center, bounds=space.domain).lengths + last)
     # 2. Voxels that hold points of each leaf. The motion to the center is at most half a diagonal long, and along it
     #    the function changes by a share of its change across the leaf. It is evaluated at the point of the leaf that
     #    is nearest to the center.

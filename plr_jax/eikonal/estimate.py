@@ -7,22 +7,29 @@
 
 Walls are moved to the nearest nodes. Many nodes cost less time than a correction for this would.
 
+With several goals, one front starts from all of them. Near the goals it is known to which of them the path of a node
+leads. Elsewhere this follows from the differences of costs.
+
 References:
     Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
-from math import gcd, prod
+from math import gcd
 from typing import Any, cast
 
 import numpy as np
 import skfmm
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 from scipy import ndimage
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.linalg import spsolve_triangular
 
+from plr_jax._arrays import hash64
+from plr_jax.eikonal.goals import nearest_goals
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.spaces import (
@@ -51,14 +58,18 @@ _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 # Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within differ from the
 # cost at the goal by more than the factor `_NEARLY`.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
+_NEAR_GOALS = 4  # most goals to which each node has a straight motion
+_CHECK_BITS = 8  # of the code of a goal that is found among several
 
 Points = Float[np.ndarray, "n dim"]
+Goals = Float[np.ndarray, "goals dim"]
 Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 IsOpen = Bool[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
+GoalIndex = Int[np.ndarray, "*shape"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,51 +77,155 @@ class GridEstimate:
     """The cost-to-go at the nodes of a grid, interpolated between them.
 
     Attributes:
-        at_goal: Factor of the norm and pulls (see :class:`CellCosts`) of the cost of motions at the goal; pulls may
-            be None.
-        ratio: The cost-to-go, divided by the cost of the straight motion to the goal if all motions cost as at the
-            goal.
-        cost: The cost-to-go at each node; ``inf`` where no path leads to the goal.
+        at_goals: Factors of the norm and pulls (see :class:`CellCosts`) of the cost of motions at the goals; pulls
+            may be None.
+        ratio: The cost-to-go, divided by the cost of the straight motion to a goal if all motions cost as at the
+            goal, or by the distance to the nearest of several goals.
+        cost: The cost-to-go at each node; ``inf`` where no path leads to a goal.
+        known_goal: The goals to which the paths of some nodes lead, else -1.
+        unseen: Indices of the goals that no node sees.
     """
 
     space: ConfigurationSpace
-    goal: Float[np.ndarray, "dim"]
-    at_goal: tuple[float, Float[np.ndarray, "2 1 dim"] | None]
+    goals: Goals
+    at_goals: tuple[Float[np.ndarray, "goals"], Float[np.ndarray, "2 goals dim"] | None]
     ratio: GridField
     cost: Costs
+    known_goal: GoalIndex
+    unseen: Int[np.ndarray, "unseen"]
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         """Return the estimate at points of the domain; ``inf`` if no adjacent node reaches the goal."""
         ratio, is_open = self.ratio.interpolated(x)
         beside = np.flatnonzero(~is_open & np.isfinite(ratio))
         ratio[beside[~self.space.is_free(x[beside])]] = np.inf
-        change = self.space.domain.difference(np.broadcast_to(self.goal, x.shape), x)
-        return ratio * straight_costs(self.space, self.at_goal, change)
+        return ratio * _divisors(self.space, self.goals, self.at_goals, x)
 
     @property
     def largest(self) -> float:
         """The largest finite cost at a node; ``-inf`` if no node reaches the goal."""
         return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
 
+    def which(self, x: Points) -> Int[np.ndarray, "n"]:
+        """Return the index of the goal to which the shortest path from each point of the domain leads.
 
-def straight_costs(
-    space: ConfigurationSpace, at: tuple[float, Float[np.ndarray, "2 1 dim"] | None], change: Points
+        Where no adjacent node reaches a goal, it is the goal of the nearest node that does.
+        """
+        box, shape = self.ratio.bounds, np.array(self.cost.shape)
+        place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
+        goal = self.node_goal[tuple(np.clip(place, 0, shape - 1).T)]
+        # A grid step from a goal, it is the goal in sight.
+        distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
+        step = float(np.linalg.norm(self.space.motion_cost.scale * box.width / shape))
+        close = np.flatnonzero(distance[:, 0] < step)
+        to = self.goals[nearest[close, 0]]
+        close = close[self.space.are_free(x[close], x[close] + self.space.domain.difference(to, x[close]))]
+        goal[close] = nearest[close, 0]
+        return goal
+
+    @cached_property
+    def node_goal(self) -> GoalIndex:
+        """The goal to which the path of each node leads; at nodes without a path, that of the nearest other node."""
+        side = self.ratio.bounds.width / self.cost.shape
+        goal = _carried(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
+        if (goal < 0).all():
+            return np.zeros_like(goal)
+        nearest: Any = ndimage.distance_transform_edt(
+            goal < 0, sampling=side, return_distances=False, return_indices=True
+        )
+        return goal[tuple(nearest)]
+
+
+def _carried(cost: Costs, known: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int) -> GoalIndex:
+    """Return the goal to which the path of each node leads, -1 without a path, given the goals of some nodes.
+
+    The cost of a node depends on its cheapest neighbor along each axis, by shares that are the differences over the
+    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares. So signs tell the
+    goal of more than half of what a node depends on. Where no goal has so much, which check bits tell, it is that of
+    the neighbor with the largest share.
+    """
+    # 1. Shares of neighbors, in the order of costs.
+    open_ = np.flatnonzero(np.isfinite(cost))
+    order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
+    place = np.full(cost.size, -1)
+    place[order] = np.arange(len(order))
+    cheapest, share = [], []
+    for axis, wraps in enumerate(periodic):
+        sides = []
+        for step in (1, -1):
+            beside = np.roll(cost, step, axis)
+            if not wraps:
+                beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
+            sides.append((beside.ravel(), np.roll(place.reshape(cost.shape), step, axis).ravel()))
+        (before, of_before), (after, of_after) = sides
+        least = np.minimum(before, after)[order]
+        fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
+        cheapest.append(np.where(before <= after, of_before, of_after)[order])
+        share.append(np.where(known.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
+    shares = np.stack(share)
+    total = shares.sum(axis=0)
+    shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
+    # 2. Average the bits of the codes.
+    index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
+    code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
+    digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
+    has = known.ravel()[order]
+    load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
+    axis, row = np.nonzero(shares)
+    steps = csr_array((-shares[axis, row], (row, np.stack(cheapest)[axis, row])), (len(order),) * 2)
+    averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
+    read = ((averaged > 0) << digit).sum(axis=1)
+    found = read & ((1 << bits) - 1)
+    is_code = (found < num_goals) & (code[np.minimum(found, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
+    # 3. Elsewhere follow the largest shares.
+    best = np.stack(cheapest)[shares.argmax(axis=0), np.arange(len(order))]
+    ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
+    while (ahead != ahead[ahead]).any():
+        ahead = ahead[ahead]
+    goal = np.full(cost.size, -1)
+    goal[order] = np.where(is_code, found, -1)[ahead]
+    return goal.reshape(cost.shape)
+
+
+def _straight_costs(
+    space: ConfigurationSpace,
+    at: tuple[Float[np.ndarray, "#n"], Float[np.ndarray, "2 #n dim"] | None],
+    change: Points,
 ) -> Float[np.ndarray, "n"]:
-    """Return the costs of straight motions, given the factor of their norm and the pulls at one configuration."""
+    """Return the costs of straight motions, given factors of their norm and pulls."""
     factor, pulls = at
     return factor * space.motion_cost.norm(change) + pulled(
         None if pulls is None else np.broadcast_to(pulls, (2, *change.shape)), change
     )
 
 
+def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Any, x: Points) -> Float[np.ndarray, "n"]:
+    """Return the numbers by which costs-to-go are divided for interpolation. Both have the same kinks at goals."""
+    if _is_euclidean(space, goals, at_goals):
+        return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
+    least = np.full(len(x), np.inf)
+    for number, goal in enumerate(goals):
+        some = slice(number, number + 1)
+        at = at_goals[0][some], None if at_goals[1] is None else at_goals[1][:, some]
+        least = np.minimum(
+            least, _straight_costs(space, at, space.domain.difference(np.broadcast_to(goal, x.shape), x))
+        )
+    return least
+
+
+def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Any) -> bool:
+    """Return whether divisors are distances to several goals: quicker than costs, whose ratio differs by a factor."""
+    return len(goals) > 1 and len(space.motion_cost.blocks) == 1 and at_goals[1] is None
+
+
 def grid_estimate(
-    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_leaves: int = 0
+    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:
     """Estimate the cost-to-go on a grid of some 160,000 nodes in the plane, 200,000 to a million in space.
 
     Nodes are the centers of voxels, or of the cells of a :class:`RasterCost` that fills the domain. If these are few,
     each cell is divided into an odd number of parts along each axis. For ``num_leaves`` leaves there are at least 16
-    nodes each, up to rounding.
+    nodes each, up to rounding. Several goals must differ.
     """
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
@@ -119,31 +234,54 @@ def grid_estimate(
     node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
     cells, is_open = _open_nodes(space, box, shape)
 
-    # 1. The costs of motions at open nodes and at the goal.
+    # 1. The costs of motions at open nodes and at the goals.
     factor, pulls = np.ones(shape), None
-    at_goal: tuple[float, Any] = (1.0, None)
+    at_goals: tuple[Any, Any] = (np.ones(len(goals)), None)
     if cost_map is not None:
         factor[is_open], pulls_of_open = point_costs(motion, cost_map, node[is_open])
-        factor_there, pulls_there = point_costs(motion, cost_map, goal[None])
-        at_goal = float(factor_there[0]), pulls_there
+        at_goals = point_costs(motion, cost_map, goals)
         if pulls_of_open is not None:
             pulls = np.zeros((2, *shape, dim))
             pulls[:, is_open] = pulls_of_open
 
-    # 2. The cost of straight motions from open nodes near the goal; inf if the motion is not free.
-    to_goal = domain.difference(np.broadcast_to(goal, (prod(shape), dim)), node.reshape(-1, dim))
-    lengths = np.linalg.norm(to_goal, axis=1).reshape(shape)
-    radius = _RADIUS[dim] * float(side.min())
-    near = np.argwhere(is_open & (lengths < radius + 2 * np.linalg.norm(side)))
-    change = to_goal.reshape(*shape, dim)[tuple(near.T)]
-    sees = space.are_free(node[tuple(near.T)], node[tuple(near.T)] + change)
-    near, change = tuple(near[sees].T), change[sees]
-    straight = np.full(shape, np.inf)
-    here = factor[near], None if pulls is None else pulls[(slice(None), *near)]
-    straight[near] = here[0] * motion.norm(change) + pulled(here[1], change)
-    straight[near] = (straight[near] + straight_costs(space, at_goal, change)) / 2
+    # 2. The cost of straight motions from open nodes to goals near them; inf if no motion is free.
+    flat = node.reshape(-1, dim)
+    distance, nearest = nearest_goals(goals, domain, motion, flat, min(len(goals), _NEAR_GOALS))
+    radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
+    reach = radius + 2 * np.linalg.norm(side)
+    straight, known = np.full(shape, np.inf), np.full(shape, -1)
+    lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
+    for rank, index in enumerate(nearest.T):
+        rows = np.arange(len(flat))
+        if rank:
+            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion.scale.max() * reach))
+        to_goal = domain.difference(goals[index[rows]], flat[rows])
+        length = np.linalg.norm(to_goal, axis=1)
+        if rank == 0:
+            lengths = length.reshape(shape)
+        some = np.flatnonzero(is_open.ravel()[rows] & (length < reach))
+        near, change = rows[some], to_goal[some]
+        sees = space.are_free(flat[near], flat[near] + change)
+        near, change = near[sees], change[sees]
+        if rank == 0:
+            sees_nearest.ravel()[near] = True
+        here = factor.ravel()[near], None if pulls is None else pulls.reshape(2, -1, dim)[:, near]
+        goal = index[near]
+        is_seen[goal] = True
+        there = at_goals[0][goal], None if at_goals[1] is None else at_goals[1][:, goal]
+        costs = (_straight_costs(space, here, change) + _straight_costs(space, there, change)) / 2
+        better = costs < straight.ravel()[near]
+        straight.ravel()[near[better]], known.ravel()[near[better]] = costs[better], goal[better]
+
+    if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
+        open_ = flat[is_open.ravel()]
+        for goal in np.flatnonzero(~is_seen):
+            change = domain.difference(goals[goal], open_)
+            close = np.linalg.norm(change, axis=1) < reach
+            is_seen[goal] = space.are_free(open_[close], open_[close] + change[close]).any()
 
     # 3. The cost-to-go of all nodes.
+    at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
         _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
@@ -152,14 +290,16 @@ def grid_estimate(
             place = (boundary.vertices[boundary.contacts] - box.lo) / side - 0.5
             for corner in product((0, 1), repeat=2):
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
-        cost = _marched(space, is_open, factor, at_goal[0], straight, lengths, radius, side)
+        cost = _marched(space, is_open, factor, at_nearest, straight, known, sees_nearest, lengths, radius, side)
         if cost_map is None:
             cost = np.minimum(cost, straight)
+        known = np.where(cost == straight, known, -1)
     else:
-        cost = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, side)
-    of_straight = straight_costs(space, at_goal, to_goal).reshape(shape)
-    ratio = np.divide(cost, of_straight, out=np.ones(shape), where=of_straight > 0)
-    return GridEstimate(space, goal, at_goal, GridField(ratio.T, box), cost)
+        cost, known = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, known, side)
+    divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
+    at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
+    ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
+    return GridEstimate(space, goals, at_goals, GridField(ratio.T, box), cost, known, np.flatnonzero(~is_seen))
 
 
 def _grid(
@@ -260,28 +400,39 @@ def _marched(
     space: ConfigurationSpace,
     is_open: IsOpen,
     factor: Costs,
-    at_goal: float,
+    at_goal: Costs,
     straight: Costs,
+    goal: GoalIndex,
+    sees_nearest: IsOpen,
     lengths: Costs,
     radius: float,
     side: Sides,
 ) -> Costs:
-    """Return the costs of nodes by marching from a ball around the goal, in which paths are straight."""
-    # 1. Choose the ball: all its nodes see the goal, and cost about as much as the goal, except the cheapest node.
+    """Return the costs of nodes by marching from balls around the goals, in which paths are straight.
+
+    ``at_goal`` and ``lengths`` are the factor and the distance of the nearest goal, which ``sees_nearest`` nodes see.
+    Motions of costs ``straight`` lead to ``goal``.
+    """
+    # 1. Choose the balls: all their nodes see the goal, and cost about as much as the goal, except the cheapest node.
     weight = space.motion_cost.blocks[0][1]
     rate = weight * at_goal
     differs = (factor > _NEARLY * at_goal) | (_NEARLY * factor < at_goal)
-    stops = is_open & (np.isinf(straight) | differs)
-    begin = rate * min(radius, lengths[stops].min(initial=np.inf))
-    begin = max(begin, straight.min() + rate * float(side.min()) / 2)
-    is_inside = (straight < begin) & (~differs | (straight == straight.min()))
+    stops = is_open & (~sees_nearest | differs)
+    begin = min(float(rate.min()) * radius, (rate * lengths)[stops].min(initial=np.inf))
+    near = goal >= 0
+    cheapest, at_cheapest = np.full(goal.max(initial=-1) + 1, np.inf), np.zeros(goal.max(initial=-1) + 1)
+    np.minimum.at(cheapest, goal[near], straight[near])
+    is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
+    at_cheapest[goal[is_cheapest]] = (rate * float(side.min()) / 2)[is_cheapest]
+    begin = max(begin, (cheapest + at_cheapest)[np.isfinite(cheapest)].max(initial=-np.inf))
+    is_inside = (straight < begin) & (~differs | is_cheapest)
     cost = np.where(is_inside, straight, np.inf)
     if not is_inside.any() or (is_inside == is_open).all():
         return cost
     # 2. March from its surface. A jump of costs must not bring a node beyond it nearer to the front.
     phi = lengths - begin / (weight * (factor + at_goal) / 2)
     phi[differs] = np.maximum(phi, lengths - begin / rate)[differs]
-    phi[np.isinf(straight)] = np.maximum(lengths, side.max())[np.isinf(straight)]
+    phi[~sees_nearest] = np.maximum(lengths, side.max())[~sees_nearest]
     phi = np.where(is_inside, phi, np.maximum(phi, 1e-9 * side.min()))
     periodic = cast(Any, list(space.domain.periodic))
     beyond = skfmm.travel_time(
@@ -303,9 +454,13 @@ def _over_stencil(
     node: Nodes,
     costs: tuple[Costs, Any],
     straight: Costs,
+    goal: GoalIndex,
     side: Sides,
-) -> Costs:
-    """Return costs of shortest paths to the goal over edges of a few steps along axes that share a norm."""
+) -> tuple[Costs, GoalIndex]:
+    """Return costs of shortest paths over edges of a few steps along axes that share a norm, and their goals.
+
+    Their last edges are motions of costs ``straight``, which lead to ``goal``.
+    """
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from nodes whose whole stencil is free need no test.
@@ -340,7 +495,12 @@ def _over_stencil(
                 end.append(number[head])
                 cost.append((factor[tail] + factor[head]) / 2 * motion.norm(way) + pulled(mean, way))
     near = np.flatnonzero(np.isfinite(straight).ravel())
-    begin, end = np.concatenate([*begin, near]), np.concatenate([*end, np.full(len(near), num)])
+    last = num + goal.ravel()[near]
+    goals = np.unique(np.append(last, num))
+    size = int(goals[-1]) + 1
+    begin, end = np.concatenate([*begin, near]), np.concatenate([*end, last])
     weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
-    graph = csr_array((weight, (end, begin)), shape=(num + 1, num + 1))
-    return dijkstra(graph, indices=num)[:num].reshape(shape)
+    graph = csr_array((weight, (end, begin)), shape=(size, size))
+    found: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
+    to_goals, _, source = (each[:num].reshape(shape) for each in found)
+    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)

@@ -186,12 +186,12 @@ class Mesh:
         turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)
         return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
 
-    def connected_to(self, cell: int) -> Mask:
-        """Return a mask of the cells that faces between cells that are not blocked connect to a cell."""
+    def connected_to(self, cells: CellIndex | int) -> Mask:
+        """Return a mask of the cells that faces between cells that are not blocked connect to any of some cells."""
         num, faces = len(self.state), self.faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
-        return part == part[cell]
+        return np.isin(part, part[cells])
 
     def with_state(self, state: States) -> "Mesh":
         mesh = copy.copy(self)

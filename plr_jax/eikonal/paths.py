@@ -1,11 +1,11 @@
-"""Short paths from the nodes of a mesh to the goal, through free cells: upper bounds of the cost-to-go.
+"""Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
 1. A graph joins the corners of each free cell, in which every straight motion is free. Dijkstra's algorithm finds
    shortest paths in it. They zigzag.
 2. As in Theta*, a node skips the next node of its path, or takes the next node of a neighbor's path, if the straight
    motion there stays in free cells and costs less.
 
-If the goal's cell is not free, as beside a wall, straight motions to the goal are tested one by one.
+If a goal's cell is not free, as beside a wall, straight motions to the goal are tested one by one.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
@@ -33,51 +33,59 @@ _GAIN = 1e-9  # share of a path's cost that a change of the path must save
 _AHEAD = 2.0**-44
 _ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
-# Most nodes, the nearest ones, that are joined to a goal whose cell is not free.
-_NEAR_GOAL = 512
+# Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
+_NEAR_GOAL, _LEAST_NEAR_GOAL = 512, 32
 
 Nodes: TypeAlias = Int[np.ndarray, "_"]
 Costs: TypeAlias = Float[np.ndarray, "nodes"]
 Edges: TypeAlias = Int[np.ndarray, "_"]
 EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
-Point: TypeAlias = Float[np.ndarray, "dim"]
+Points: TypeAlias = Float[np.ndarray, "n dim"]
 
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths to the goal from the nodes (corners of cells) of a mesh.
+    """Paths to the nearest goal from the nodes (corners of cells) of a mesh.
 
     Attributes:
-        points: The nodes as fractions of the domain, then the goal.
+        points: The nodes as fractions of the domain, then the goals.
         cost: Cost of each node's path, rounded up; ``inf`` if none was found.
-        next: Index of the second node of each path; the goal's index for the goal itself, and if there is no path.
+        next: Index of the second node of each path; a goal's own index for goals, the first goal's without a path.
     """
 
     points: Float[np.ndarray, "nodes dim"]
     cost: Costs
     next: Nodes
 
+    @property
+    def ends(self) -> Nodes:
+        """Index of the goal to which each path leads, the first goal's without a path."""
+        ends = self.next
+        while (ends != ends[ends]).any():
+            ends = ends[ends]
+        return ends
 
-def graph_costs(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> Costs:
-    """Return costs of paths from a mesh's nodes to the goal along edges in free cells; ``inf`` if there is none."""
-    return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
+
+def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:
+    """Return costs of paths from a mesh's nodes to a goal along edges in free cells; ``inf`` if there is none."""
+    return _along(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
 
 
-def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace) -> NodePaths:
-    """Find short paths from the corners of free cells to a goal, given as a fraction of the domain."""
-    graph = _FreeGraph(mesh, costs, goal, space)
+def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> NodePaths:
+    """Find short paths from the corners of free cells to the nearest of goals, given as fractions of the domain."""
+    graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _along(next_, leg), np.arange(len(next_))
-    blocked = np.full((2, len(next_)), -1)  # targets of the last tests that failed
+    tested, found = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
     for _ in range(_ROUNDS):
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
             gains = graph.least_costs(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-            some = np.flatnonzero(gains & (ahead != blocked).all(axis=0))
-            straight = np.full(len(next_), np.inf)
-            straight[some] = graph.straight_costs(some, ahead[some])
-            blocked[kind, some[np.isinf(straight[some])]] = ahead[some[np.isinf(straight[some])]]
+            straight = np.where(gains & (ahead == tested), found, np.inf).min(axis=0)
+            some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
+            straight[some] = found[kind, some] = graph.straight_costs(some, ahead[some])
+            tested[kind, some] = ahead[some]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
             cost = _along(next_, leg)
@@ -88,7 +96,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Point, space: Configurati
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Sum the costs of first edges (``leg``) along paths to the goal by pointer doubling."""
+    """Sum the costs of first edges (``leg``) along paths to a goal by pointer doubling."""
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -96,16 +104,18 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 
 
 class _FreeGraph:
-    """A graph of the corners of free cells, with the goal last. Edges are straight motions within a cell."""
+    """A graph of the corners of free cells, with the goals last. Edges are straight motions within a cell."""
 
-    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Point, space: ConfigurationSpace):
-        self.mesh, self.costs = mesh, costs
-        self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
-        self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(goal), strict=True))
-        if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
+    def __init__(self, mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace):
+        self.mesh, self.costs, num = mesh, costs, len(mesh.nodes)
+        self.points, self.goals = np.append(mesh.nodes, goals, axis=0), num + np.arange(len(goals))
+        homes = mesh.locate(goals)
+        self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(homes), strict=True))
+        for goal in self.goals[mesh.state[homes] != CellState.FREE]:
             # Nodes near the goal from which the straight motion is free, and upper bounds of its cost.
-            change = self._changes(np.arange(self.goal), np.full(self.goal, self.goal))
-            near = np.argsort(costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
+            change = self._changes(np.arange(num), np.full(num, goal))
+            most = max(_NEAR_GOAL // len(goals), _LEAST_NEAR_GOAL)
+            near = np.argsort(costs.motion.norm(change), kind="stable")[:most]
             q, change = mesh.domain.at(self.points[near]), change[near]
             free = np.flatnonzero(space.are_free(q, q + change))
             q, change, straight = q[free], change[free], costs.motion.norm(change[free])
@@ -116,7 +126,7 @@ class _FreeGraph:
             order = np.argsort(near[free])
             node, straight = near[free][order], straight[order]
             place = np.searchsorted(self.begin, node, side="right")
-            self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, self.goal)))
+            self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, goal)))
             self.cost = np.insert(self.cost, place, straight)
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
 
@@ -124,12 +134,11 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, goal: Point) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
+    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
         """Yield begins, ends and costs of edges, sorted, for some nodes at a time, since cells share many edges."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
-        home = mesh.locate(goal[None])
-        nodes, cells = [np.full(1, self.goal)[is_free[home]]], [home[is_free[home]]]
+        nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
         for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell that hang on a larger cell
             faces = mesh.faces[mesh.faces.axis == axis]
             for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
@@ -166,13 +175,14 @@ class _FreeGraph:
             yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
-        """Return the end and the cost of the first edge of each node's shortest path to the goal."""
+        """Return the end and the cost of the first edge of each node's shortest path to a goal."""
         num = len(self.points)
         graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
-        cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
-        next_ = np.where(previous < 0, self.goal, previous)
+        cost, previous, _ = dijkstra(graph, indices=self.goals, return_predecessors=True, min_only=True)
+        next_ = np.where(previous < 0, self.goals[0], previous)
+        next_[self.goals] = self.goals
         leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
-        leg[self.goal] = 0.0
+        leg[self.goals] = 0.0
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:

@@ -9,7 +9,8 @@ integral, solves
 
 where ``w`` are the integrals of the basis functions. The multipliers are a flow from everywhere to the goal along
 cheapest paths. The alternating direction method of multipliers solves the program, with a Poisson equation in each
-iteration. At last a piecewise linear function of the values rescales them until they satisfy the constraints,
+iteration. With several goals, ``u`` is at most 0 at each, and the multipliers of these constraints are the flows into
+the goals. At last a piecewise linear function of the values rescales them until they satisfy the constraints,
 rounding included. So the bound is proven after any number of iterations.
 
 References:
@@ -30,6 +31,7 @@ from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
 from scipy.sparse.linalg import cg, splu
 
 from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
+from plr_jax.eikonal.goals import nearest_goals
 from plr_jax.eikonal.mesh import Mesh, with_open_contacts
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
@@ -205,6 +207,7 @@ class SlopeSets:
 # Least penalty, as a share of the median flow: flows converge sooner with a small one, values with a large one.
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0
 _RELAXATION = 1.6
+_LEAST_INFLOW = 0.1  # least flow into a goal, as a share of the mean, for the weight of the value there
 # Iterations between evaluations of the bound; and its least relative rise within so many iterations.
 _LOOK_EVERY, _GAIN, _PATIENCE = 10, 5e-4, 30
 # Share of the residual that conjugate gradients leave, and most steps.
@@ -215,10 +218,11 @@ _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Values of the degrees of freedom, and the flow at the control points (where gradients are bounded)."""
+    """Values of the degrees of freedom, flow at the control points (where gradients are bounded) and into goals."""
 
     values: Dofs
     flow: Vectors
+    inflow: Float[np.ndarray, "goals"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +233,8 @@ class SlopeProgram:
         gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of `sets`.
         volume: Share of its cell's volume of each control point.
         weight: The integral of each basis function.
-        goal: Maps degrees of freedom to the value at the goal.
-        at: The goal, a fraction of the domain.
+        goal: Maps degrees of freedom to the value at the goal; a matrix if there are several goals.
+        at: The goals, fractions of the domain.
     """
 
     space: FunctionSpace
@@ -238,31 +242,41 @@ class SlopeProgram:
     costs: CellCosts
     volume: PerControl
     weight: Dofs
-    goal: Dofs
-    at: Float[np.ndarray, "dim"]
+    goal: Dofs | csr_array
+    at: Float[np.ndarray, "goals dim"]
 
     @classmethod
-    def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Numbers) -> "SlopeProgram":
-        """Build the program on the part of a mesh that is connected to the goal, a fraction of the domain."""
-        home = mesh.locate(goal[None])
-        if mesh.state[home[0]] == CellState.BLOCKED:  # the goal is free to a tolerance
+    def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
+        """Build the program on the part of a mesh that is connected to the goals, fractions of the domain."""
+        homes = mesh.locate(goals)
+        if (mesh.state[homes] == CellState.BLOCKED).any():  # goals are free to a tolerance
             state = mesh.state.copy()
-            state[home] = CellState.MIXED
+            state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED
             mesh = mesh.with_state(state)
         mesh = with_open_contacts(mesh, space)
-        mesh = mesh.without(~mesh.connected_to(int(home[0])))
+        mesh = mesh.without(~mesh.connected_to(homes))
         # Degree 2 errs far less a cell, but takes too long beyond two dimensions.
         functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
         gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
         num_controls = len(functions.lattice)
         volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
-        at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
+        at_goals = functions.interpolation(homes, mesh.local(homes, goals))
+        at_goals = at_goals.toarray()[0] if len(goals) == 1 else at_goals
         costs = cell_costs(space, cost_map, mesh)
-        return cls(functions, gradient, costs, volume, functions.integrals(), at_goal, goal)
+        return cls(functions, gradient, costs, volume, functions.integrals(), at_goals, goals)
 
     @property
     def dim(self) -> int:
         return self.space.mesh.dim
+
+    @cached_property
+    def homes(self) -> CellIndex:
+        """The cells of the goals."""
+        return self.space.mesh.locate(self.at)
+
+    def below_goals(self, u: Dofs) -> Dofs:
+        """Return a function less its largest value at a goal."""
+        return u - np.max(self.goal @ u)
 
     @cached_property
     def sets(self) -> SlopeSets:
@@ -305,25 +319,27 @@ class SlopeProgram:
         gain[mesh.state[mesh.open_cells] == CellState.MIXED] = 0.0
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
-    def loss_at_goal(self, iterate: Iterate) -> float:
-        """Return the gap in the goal's cell if the flow that reaches the cell's nodes went straight to the goal.
+    def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
+        """Return the gap in each goal's cell if the flow that reaches the cell's nodes went straight to the goal.
 
         Inside this cell, inflow on one side may leave on the other. Such a flow has no gap, though values behind the
-        goal are as far below 0 as they should be above.
+        goal are as far below 0 as they should be above. Other cells have 0.
         """
-        space, mesh = self.space, self.space.mesh
-        home = int(mesh.locate(self.at[None])[0])
-        change = mesh.domain.difference(mesh.domain.width * self.at, mesh.domain.width * space.points)
-        values = iterate.values - self.goal @ iterate.values
-        excess = self.costs.of_motions(change, np.full(len(change), home)) - values
-        within = np.repeat(mesh.open_cells == home, len(space.lattice))
-        climbed = np.sum((iterate.flow * self.gradients(excess))[:, within], axis=0)
-        return float(self.volume[within] @ climbed + self.weight.sum() * (self.goal @ excess))
+        space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
+        nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
+        change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
+        excess = self.costs.of_motions(change, self.homes[nearest]) - self.below_goals(iterate.values)
+        climbed = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
+        gap = np.zeros(len(mesh.state))
+        gap[mesh.open_cells] = climbed.reshape(-1, len(space.lattice)).sum(axis=1)
+        np.add.at(gap, self.homes, iterate.inflow * (self.goal @ excess))
+        return np.where(np.isin(mesh.open_cells, self.homes), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
         """Iterate from a start (None: 0). Before the iterations ``factor_at``, penalties are rescaled to the flow."""
         if start is None:
-            start = Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
+            flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
+            start = Iterate(np.zeros(len(self.weight)), flow, inflow)
         state = _Splitting(self, start, _LEAST_PENALTY)
         for iteration in range(num_iterations):
             if iteration in factor_at:
@@ -338,7 +354,7 @@ class SlopeProgram:
             state.step()
             if iteration % _LOOK_EVERY:
                 continue
-            u = state.u - self.goal @ state.u
+            u = self.below_goals(state.u)
             value = float(self.weight @ np.interp(u, *self.rescaling(u)))
             if value > (1 + _GAIN) * highest:
                 best, highest, found = state.iterate, value, iteration
@@ -350,31 +366,45 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
 
-    ``z`` is the projection to the admissible gradients of the gradients of ``u``; ``penalty * y`` is the flow.
+    ``z`` is the projection to the admissible gradients of the gradients of ``u``; ``penalty * y`` is the flow. Values
+    at several goals are treated like gradients, with the numbers up to 0 as their admissible set. The flow into one
+    goal is known.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
         self._program, radius = program, program.sets.radius
-        self._load = program.weight - program.weight.sum() * program.goal
-        flow = start.flow
+        self._load, flow, inflow = program.weight, start.flow, start.inflow
+        if len(inflow) == 1:
+            self._load = self._load - program.weight.sum() * program.goal
+        # A cell's costs are to values at goals what the radius is to slopes.
+        lower, widths = program.costs.lower[program.homes], program.space.mesh.widths[program.homes]
+        across = lower * program.costs.motion.norm(widths)
         if not flow.any():  # start from the flow of least squares, which has the right size in any units
-            potential = _Poisson(program, 1 / radius).solve(
-                self._load, np.zeros_like(flow), np.zeros(len(self._load))
-            )
+            system = _Poisson(program, 1 / radius, inflow * lower / across**2)
+            potential = system.solve(self._load, np.zeros_like(flow), 0 * inflow, np.zeros(len(self._load)))
             flow = program.gradients(potential) / radius
+            inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
         norm = program.sets.costs(flow) / radius
         carried = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(carried) if carried.size else 1.0) / radius
-        self._system = _Poisson(program, self._penalty)
+        stiffness = np.maximum(inflow, _LEAST_INFLOW * inflow.mean()) / across
+        self._system = _Poisson(program, self._penalty, stiffness)
         self.u, g, self._y = start.values, program.gradients(start.values), start.flow / self._penalty
         self._z = program.sets.project(g)
+        self._y_goals, self._z_goals = inflow / stiffness, np.minimum(program.goal @ self.u, 0.0)
 
     @property
     def iterate(self) -> Iterate:
-        return Iterate(self.u, self._penalty * self._y)
+        inflow = self._system.stiffness * self._y_goals
+        return Iterate(self.u, self._penalty * self._y, inflow)
 
     def step(self) -> None:
-        self.u = self._system.solve(self._load, self._z - self._y, self.u)
+        self.u = self._system.solve(self._load, self._z - self._y, self._z_goals - self._y_goals, self.u)
+        if len(self._y_goals) > 1:
+            at_goals = self._program.goal @ self.u
+            v = _RELAXATION * at_goals + (1 - _RELAXATION) * self._z_goals + self._y_goals
+            self._z_goals = np.minimum(v, 0.0)
+            self._y_goals = v - self._z_goals
         g = self._program.gradients(self.u)
         v = _RELAXATION * g + (1 - _RELAXATION) * self._z + self._y
         self._z = self._program.sets.project(v)
@@ -382,18 +412,22 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation of an iteration, with the first degree of freedom fixed to 0.
+    """The Poisson equation of an iteration; if the flow into a goal is known, the first unknown is fixed to 0.
 
     In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
     algebraic multigrid improve the last solution.
     """
 
-    def __init__(self, program: SlopeProgram, penalty: PerControl):
+    def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
-        self.matrix = csr_matrix((self.divergence @ program.gradient)[1:, 1:])
+        matrix, self.stiffness, self._first = self.divergence @ program.gradient, stiffness, 1
+        if len(stiffness) > 1:
+            self._first, self.from_goals = 0, csr_array((diags_array(stiffness) @ program.goal).T)
+            matrix = matrix + self.from_goals @ program.goal
+        self.matrix = csr_matrix(matrix[self._first :, self._first :])
         self._factors: Any = None
-        if program.dim <= 2 or (program.dim == 3 and len(program.goal) <= _MOST_FACTORED):
+        if program.dim <= 2 or (program.dim == 3 and len(program.weight) <= _MOST_FACTORED):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:
@@ -401,11 +435,14 @@ class _Poisson:
                 self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
             ).aspreconditioner()
 
-    def solve(self, load: Dofs, field: Vectors, guess: Dofs) -> Dofs:
-        right = (load + self.divergence @ field.ravel())[1:]
+    def solve(self, load: Dofs, field: Vectors, at_goals: Float[np.ndarray, "goals"], guess: Dofs) -> Dofs:
+        right = (load + self.divergence @ field.ravel())[self._first :]
+        if not self._first:
+            right = right + self.from_goals @ at_goals
         if self._factors is not None:
-            return np.append(0.0, self._factors.solve(right))
-        guess = guess[1:] - guess[0]
+            return np.append(np.zeros(self._first), self._factors.solve(right))
+        guess = guess - guess[0] if self._first else guess
+        guess = guess[self._first :]
         left = float(np.linalg.norm(right - self.matrix @ guess))
         u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * left, maxiter=_MOST_STEPS, M=self._multigrid)
-        return np.append(0.0, u)
+        return np.append(np.zeros(self._first), u)

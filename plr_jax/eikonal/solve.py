@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from tqdm import tqdm
 
-from plr_jax._arrays import as_bool, as_booleans, as_finite, as_finite_point, require_integer, shortened
+from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
@@ -40,6 +40,8 @@ _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 # Share of the domain's width by which a goal may lie outside: a space may count such goals as free.
 _BESIDE = 1e-6
 
+Goals = Float[np.ndarray, "goals dim"]
+
 
 def solve_eikonal(
     space: ConfigurationSpace | FreeTest,
@@ -54,6 +56,9 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
+    The goal may be several goals, such as exits. The cost-to-go is then that of the nearest, and ``plr.which(x)``
+    tells which one that is.
+
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
     is mostly 0.01 to 0.5 %, as on the grid.
@@ -62,15 +67,16 @@ def solve_eikonal(
     free or blocked, or stay mixed. ``plr(x)`` is an estimate between the bounds ``plr.bounds(x)``, which hold for
     every point from which the goal can be reached.
 
-    - The lower bound is the largest function that is 0 at the goal, continuous across every face that is not proven
-      blocked, and nowhere steeper than a step costs. The straight line to the goal is a lower bound too.
+    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
+      every face that is not proven blocked, and nowhere steeper than a step costs. The straight line to the nearest
+      goal is a lower bound too; with several goals, it serves only as far as the bounds of leaves express it.
     - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
       voxel to voxel. It is ``inf`` where no path was found.
 
     Args:
         space: The configuration space: what is free, and what motions cost. If it only tests configurations
             (:class:`FreeTest`), a cell counts as free or blocked if all its samples do. Then nothing is proven.
-        goal: The goal, ``(dim,)``, free.
+        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
         max_leaves: Most leaves, at least 1. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else
             2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell.
@@ -94,11 +100,11 @@ def solve_eikonal(
             more than a tenth outside of its bounds, where the nearer bound replaces it.
 
     Raises:
-        ValueError: If ``space`` is no space, the goal is not free, a limit is out of its range, or bounds of the cost
+        ValueError: If ``space`` is no space, a goal is not free, a limit is out of its range, or bounds of the cost
             map are not positive and finite. If a limit is too small for one leaf, for four cells along each periodic
             axis, for cells at most 200,000 times as long as wide, or for samples to meet all cells that are not
             blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
-            sees the goal. If a directional cost map comes with a space whose costs are no lengths.
+            sees a goal. If a directional cost map comes with a space whose costs are no lengths.
 
     References:
         Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.
@@ -118,41 +124,65 @@ def solve_eikonal(
             f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
         )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
-    domain, goal = space.domain, as_finite_point("goal", goal)
-    if goal.shape != (domain.dim,):
-        raise ValueError(f"goal must have {domain.dim} coordinates, as the space has axes, got {goal.size}.")
-    at = (domain.wrapped(goal[None])[0] - domain.lo) / domain.width
-    if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not as_booleans("is_free", space.is_free(goal[None]), 1)[0]:
-        raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
-    at = np.clip(at, 0.0, 1.0)
+    domain, goal = space.domain, as_numbers("goal", goal, "numbers, (dim,) or (k, dim)")
+    if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
+        got = f"{goal.size}" if goal.ndim == 1 else f"shape {goal.shape}"
+        raise ValueError(
+            f"goal must have {domain.dim} coordinates, as the space has axes, or be rows of these, got {got}."
+        )
+    goals = np.atleast_2d(goal)
+    at = (domain.wrapped(goals) - domain.lo) / domain.width
+    is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
+    if is_fine.all():
+        is_fine = as_booleans("is_free", space.is_free(goals), len(goals))
+    _require_goals(goal, is_fine, "goal must be a free configuration of the space")
+    # Of equal goals, the first counts.
+    at, first = np.unique(np.clip(at, 0.0, 1.0), axis=0, return_index=True)
+    at, first = at[np.argsort(first)], np.sort(first)
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
-        if guide.largest < 0:
-            nodes = " x ".join(map(str, guide.cost.shape))
-            raise ValueError(
-                f"The goal must be seen from a node of the grid of {nodes} nodes, {goal.tolist()} is not: it is "
-                "too close to obstacles. Move it, or leave out certified=False."
-            )
+        nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
+        is_seen[first[guide.unseen]] = False
+        _require_goals(
+            goal,
+            is_seen,
+            f"The goal must be seen from a node of the grid of {nodes} nodes",
+            ": it is too close to obstacles. Move it, or leave out certified=False",
+        )
         _require_costs(guide.largest)
         limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
-        # The free space of a turning body is thin: continuous leaves would reach through its walls.
         if len(space.motion_cost.blocks) > 1:
-            return construct(guide, domain, leaf="plane", **limits)
-        options = BuildOptions(should_split=partial(_error_or_cut_off, space))
-        return construct(guide, domain, leaf="continuous", options=options, **limits)
-    most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
-    check_memory(2.0 * most, _BYTES_A_CELL / 2)
-    field = _field(cells, cost_map, at, most, tolerance)
-    estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
-    _require_costs(float(estimate.corner_values.max()))
-    most_bytes = math.inf if max_bytes is None else float(max_bytes)
-    if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes and (
-        plr := plr_on_mesh(estimate, proven, most_bytes)
-    ):
-        return plr
-    return plr_of_bytes(estimate, int(most_bytes), int(seed), proven)
+            # The free space of a turning body is thin: continuous leaves would reach through its walls.
+            plr = construct(guide, domain, leaf="plane", **limits)
+        else:
+            options = BuildOptions(should_split=partial(_error_or_cut_off, space))
+            plr = construct(guide, domain, leaf="continuous", options=options, **limits)
+        which = lambda x: np.where(np.isfinite(guide(x)), guide.which(x), -1)  # noqa: E731
+    else:
+        most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
+        check_memory(2.0 * most, _BYTES_A_CELL / 2)
+        field = _field(cells, cost_map, at, most, tolerance)
+        estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
+        _require_costs(float(estimate.corner_values.max()))
+        most_bytes, on_mesh = math.inf if max_bytes is None else float(max_bytes), None
+        if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes:
+            on_mesh = plr_on_mesh(estimate, proven, most_bytes)
+        plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
+        which = field.which
+    if goal.ndim > 1:
+        plr.nearest_goal = lambda x: np.append(first, -1)[which(x)]
+    return plr
+
+
+def _require_goals(
+    goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, "goals"], must: str, why: str = ""
+) -> None:
+    if not is_fine.all():
+        row = int(is_fine.argmin())
+        of = f" (row {row})" if goal.ndim > 1 else ""
+        raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of} is not{why}.")
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
@@ -185,9 +215,9 @@ def _require_costs(largest: float) -> None:
 
 
 def _field(
-    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int, tolerance: float
+    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, most: int, tolerance: float
 ) -> CostToGoField:
-    solver = SlopeSolver(space, cost_map, goal, most, tolerance)
+    solver = SlopeSolver(space, cost_map, goals, most, tolerance)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
             solver.refine(progress)
@@ -197,13 +227,14 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR has these cells."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
-    guide = grid_estimate(space, cost_map, domain.at(goal)) if mesh.dim <= MOST_AXES else None
-    paths = shortest_paths(mesh, program.costs, goal, space)
+    guide = grid_estimate(space, cost_map, domain.at(goals)) if mesh.dim <= MOST_AXES else None
+    paths, num, nodal_goal = shortest_paths(mesh, program.costs, goals, space), len(mesh.nodes), None
     if guide is None:
-        nodal_estimate = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goal, space).cost[:-1]
+        likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
+        nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num
     else:
         nodal_estimate = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, nodal_estimate, space, guide)
+    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, guide)
 
 
 # Share of all cells in the first mesh, and its least number of cells: in a single cell, flows to a goal in its middle
@@ -224,26 +255,25 @@ _DETOUR = 16
 # Most halvings of a cell along an axis, if a query's tables resolve as many.
 _DEEPEST = 13
 _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its width
-Point = Float[np.ndarray, "dim"]
 
 
 class SlopeSolver:
     """The program for the lower bound, solved on meshes that become finer.
 
     Attributes:
-        goal: The goal, a fraction of the domain.
+        goals: The goals, fractions of the domain.
         tolerance: Mean gap to the truth at which the mesh is fine enough.
         program: The program on the finest mesh so far.
         iterate: Its solution; None before there is one.
     """
 
     def __init__(
-        self, space: ConfigurationSpace, cost_map: CostMap | None, goal: Point, max_cells: int, tolerance: float
+        self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
     ):
-        self.space, self.cost_map, self.goal = space, cost_map, goal
+        self.space, self.cost_map, self.goals = space, cost_map, goals
         self.max_cells, self.tolerance = max_cells, tolerance
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
-        self.program = SlopeProgram.on(mesh, space, cost_map, goal)
+        self.program = SlopeProgram.on(mesh, space, cost_map, goals)
         self.iterate: Iterate | None = None
         self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # state that each mixed cell counts as
 
@@ -253,9 +283,9 @@ class SlopeSolver:
 
     @property
     def values(self) -> Float[np.ndarray, "dofs"]:
-        """The values of the solution, shifted to 0 at the goal."""
+        """The values of the solution, shifted to at most 0 at the goals."""
         assert self.iterate is not None
-        return self.iterate.values - self.program.goal @ self.iterate.values
+        return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
         """Solve and refine in turn, up to the limit of cells; then solve to convergence."""
@@ -267,7 +297,7 @@ class SlopeSolver:
             if not len(which) or room < parts:
                 break
             coarse = self.mesh
-            finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goal)
+            finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goals)
             fine = finer.space.mesh
             # Interpolate function and flow on the finer mesh.
             space, size = finer.space, len(finer.space.lattice)
@@ -279,7 +309,7 @@ class SlopeSolver:
             place = np.zeros(len(coarse.state), np.int64)
             place[coarse.open_cells] = np.arange(len(coarse.open_cells))
             flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent]]
-            iterate = Iterate(values, np.repeat(flow, size, axis=1))
+            iterate = Iterate(values, np.repeat(flow, size, axis=1), self.iterate.inflow)
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
@@ -317,10 +347,10 @@ class SlopeSolver:
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
         """Return the cells to refine, mostly in order of their loss (gap), and how many cells this may add."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
-        loss, at_goal = self.program.losses(iterate), self.program.loss_at_goal(iterate)
+        loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
         #    through it saves the detour, so its loss counts more.
-        at_corners = graph_costs(self.mesh_without_mixed(), costs, self.goal, self.space)[
+        at_corners = graph_costs(self.mesh_without_mixed(), costs, self.goals, self.space)[
             mesh.corners[mesh.open_cells]
         ]
         is_reached = np.isfinite(at_corners)
@@ -329,10 +359,10 @@ class SlopeSolver:
         share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
         is_mixed = mesh.state[mesh.open_cells] == CellState.MIXED
         loss = np.where(is_mixed, np.clip(share, 1.0, _DETOUR), 1.0) * loss
-        if max(loss.sum(), at_goal) <= self.tolerance * self.program.weight.sum():
+        if max(loss.sum(), at_goals.sum()) <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64), 0
-        # 2. The goal's cell comes first if it hides a loss, then cells by their loss.
-        is_first = (mesh.open_cells == mesh.locate(self.goal[None])) & (at_goal > loss)
+        # 2. Cells of goals come first if they hide a loss, then cells by their loss.
+        is_first = at_goals > loss
         order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
         # 3. Refine most of the loss, but neither too few nor too many cells.
         enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)

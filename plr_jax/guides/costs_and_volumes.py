@@ -1,7 +1,7 @@
 """Guide: build a cost-to-go from costs, voxels, bodies and arms, without an oracle.
 
 `plr_jax.solve_eikonal` needs only a *configuration space*, which says what is free, and a goal. With a *cost map* the
-cost of a motion differs from place to place. The result is a `plr_jax.PLR`, like that of `plr_jax.construct`.
+cost of a motion differs from place to place. The result is a `plr_jax.PLR`.
 
 ```python
 import numpy as np
@@ -14,17 +14,18 @@ cost = plr_jax.RasterCost(values, bounds=((0, 0), (6, 4)))
 space, goal = cost.space(radius=0.1), (0.5, 2)
 plr = plr_jax.solve_eikonal(space, goal, cost_map=cost, certified=False)
 print(cost([[3, 2]]), plr([[5.5, 2]]))  # the cost per unit of length there; the cost of the best path
-
 descent = plr_jax.descend(plr, space, [(5.5, 2)], goal, cost_map=cost)
 print(descent.paths[0], descent.costs)  # a path that follows the PLR, and its cost
 plr_jax.plot.plot_contours(plr, space=space, goal=goal)
-plr_jax.save(plr, "swamp.plr")
+exits = plr_jax.solve_eikonal(space, [(0.5, 2), (5.5, 3.5)], cost_map=cost, certified=False)
+print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, and the index of that exit
 ```
 
 - `certified=False` gives an estimate, in about a second; in up to three dimensions. Follow this estimate for paths.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
   no path through proven free cells was found, mostly beside obstacles: give more leaves.
-- `max_bytes` limits the file. Other limits are `max_leaves` and, for certified PLRs, `tolerance`.
+- Several goals are rows. `which` needs the PLR that `solve_eikonal` returned: it is not in files, nor under `jit`.
+- Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs
 
@@ -49,8 +50,7 @@ print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
 
 # Compare with a grid solver
 
-The truth is the integral of `cost(q)` along the best path. So a grid solver needs `cost` at its nodes, not `values`,
-with at least 8 nodes along a side of a cell. A `plr_jax.GridField` makes an oracle of the result.
+A grid solver needs `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell.
 
 ```python
 import skfmm

@@ -1,6 +1,6 @@
 """The class :class:`PLR`: a distance function stored in the leaves of a binary space partition."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import as_queries, no_attribute, padded, padded_size, require_integer, shortened
+from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
@@ -65,6 +65,7 @@ class PLR(FileBacked):
         """Wrap a valid PLR file, padded by :func:`padded_file`; ``build_inputs`` serve :meth:`updated` alone."""
         self.file = file
         self.build_inputs = build_inputs
+        self.nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None
 
     @cached_property
     def tables(self) -> Tables:
@@ -113,7 +114,7 @@ class PLR(FileBacked):
         labeled = super().with_label(label)
         if labeled is not self:
             labeled.tables, labeled.band, labeled.build_inputs = self.tables, self.band, self.build_inputs
-            labeled._straight = self._straight
+            labeled._straight, labeled.nearest_goal = self._straight, self.nearest_goal
         return labeled
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -223,6 +224,28 @@ class PLR(FileBacked):
         tables, placed = self._tables_and_points(x)
         source = waypoints_of_points(tables, placed)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
+
+    def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
+        """Return the index of the goal that is nearest to each point ``(n, dim)``, -1 where no goal is reached.
+
+        Only for a PLR of several goals as :func:`solve_eikonal` returned it. Files do not store which goal is
+        nearest, and a PLR that a jitted function takes or returns does not know it. Like the distance, the answer is
+        an estimate: where two goals are about equally near, it may be the other one. Of equal goals it is the first.
+        It is -1 wherever the PLR is not finite.
+
+        Raises:
+            ValueError: If the PLR does not know its goals, or points have another shape.
+        """
+        if self.nearest_goal is None:
+            raise ValueError(
+                "Only a PLR that solve_eikonal returned for goals (k, dim) knows which is nearest. It is not stored "
+                "in files: call which before, or keep the PLR."
+            )
+        x = as_points("x", x, self.tables.dim)
+        is_finite = np.isfinite(np.asarray(self(x)))
+        goal = np.full(len(x), -1)
+        goal[is_finite] = self.nearest_goal(x[is_finite])
+        return goal
 
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.

@@ -14,8 +14,12 @@ from plr_jax import (
     VoxelSpace,
     Workspace,
 )
-from plr_jax.eikonal.estimate import grid_estimate
+from plr_jax.eikonal import estimate as estimates
 from plr_jax.geometry.box import Box
+
+
+def grid_estimate(space, cost_map, goal, num_leaves=0):
+    return estimates.grid_estimate(space, cost_map, np.atleast_2d(goal), num_leaves)
 
 
 def samples(domain, num=500):
@@ -184,3 +188,32 @@ def test_a_jump_of_costs_near_the_goal_is_seen():
     border = np.linspace(0, 1, 4_001)
     crossing = np.hypot(0.05, border - 0.5) + 0.7 * np.hypot(q[:, :1] - 1, border - q[:, 1:])
     assert mean_error(grid_estimate(space, cost, goal)(q), crossing.min(axis=1)) < 0.004
+
+
+@pytest.mark.parametrize("periodic", [(False,), (True, False), (False, False, False)])
+def test_of_many_goals_the_nearest_is_found(periodic):
+    """In an empty box, in which some goals share a cell of the grid and one is twice as far from all others."""
+    dim, rng = len(periodic), np.random.default_rng(0)
+    domain = Box(np.zeros(dim), np.ones(dim), periodic)
+    space, goals, x = BoxSpace(domain), 0.5 * rng.random((60, dim)), rng.random((5_000, dim))
+    goals[1] = goals[0] + 1e-5
+    estimate = grid_estimate(space, None, goals)
+    distances = np.stack([space.straight(x, goal) for goal in goals])
+    step = np.linalg.norm(domain.width / estimate.cost.shape)
+    np.testing.assert_allclose(estimate(x), distances.min(axis=0), atol=step)
+    excess = distances[estimate.which(x), np.arange(len(x))] - distances.min(axis=0)
+    assert excess.max() < 2 * step
+    np.testing.assert_array_equal(estimate.which(goals), np.arange(60))
+
+
+def test_which_goal_is_nearest_behind_walls_where_costs_depend_on_the_direction():
+    """Each goal is alone on its side of a wall; below the wall's gap, climbing decides."""
+    space = BoxSpace(Box((0, 0), (2, 1)), [(0.98, 0.0), (1.02, 0.9)])
+    goals, uphill = np.array([(0.5, 0.2), (1.2, 0.5)]), np.array([0.0, 1.0])
+    climbing = Climb(lambda q: np.broadcast_to(uphill, q.shape), rate=2.0, lipschitz=0.0, steepest=1.0)
+    x = np.array([(0.97, 0.1), (0.97, 0.5), (1.03, 0.1), (1.9, 0.9)])
+    assert grid_estimate(space, climbing, goals).which(x).tolist() == [0, 0, 1, 1]
+    # Without walls: 0.6 up, or 0.8 down.
+    level, goals = BoxSpace(Box((0, 0), (1, 2))), np.array([(0.5, 1.6), (0.5, 0.2)])
+    assert grid_estimate(level, None, goals).which(np.array([(0.5, 1.0)])).tolist() == [0]
+    assert grid_estimate(level, climbing, goals).which(np.array([(0.5, 1.0)])).tolist() == [1]

@@ -23,7 +23,7 @@ def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
     fraction = (np.array(goal) - space.domain.lo) / space.domain.width
-    paths = shortest_paths(mesh, cell_costs(space, cost_map, mesh), fraction, space)
+    paths = shortest_paths(mesh, cell_costs(space, cost_map, mesh), fraction[None], space)
     keep = np.append(np.unique(mesh.corners[mesh.state == 1]), len(mesh.nodes))
     place = np.full(len(mesh.nodes) + 1, len(keep) - 1)
     place[keep] = np.arange(len(keep))
@@ -133,10 +133,10 @@ def test_memory_is_that_of_pairs_of_nodes_not_of_corners_of_cells(monkeypatch):
     space = BoxSpace(Box([0.0] * 6, [1.0] * 6))
     mesh = coarse_mesh(space, 64, 64)
     costs, goal = cell_costs(space, None, mesh), np.full(6, 0.3)
-    expected = shortest_paths(mesh, costs, goal, space)
+    expected = shortest_paths(mesh, costs, goal[None], space)
     monkeypatch.setattr("plr_jax.eikonal.paths._EDGES_AT_ONCE", 1 << 13)
     tracemalloc.start()
-    found = shortest_paths(mesh, costs, goal, space)
+    found = shortest_paths(mesh, costs, goal[None], space)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     np.testing.assert_array_equal(found.cost, expected.cost)

@@ -2,7 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds
+import shapely
+from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds, hard_points
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
@@ -12,6 +13,7 @@ from space_helpers import BOUNDS, random_workspace, rectangle
 from plr_jax import (
     CellState,
     DiscRobot,
+    LipschitzCost,
     PlaneSpace,
     RasterCost,
     RectangleRobot,
@@ -71,6 +73,58 @@ def test_bounds_hold_the_exact_distance_on_random_maps(seed, max_leaves, max_byt
     goal = workspace.sample_free(1, seed)[0]
     plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=max_leaves, max_bytes=max_bytes)
     check_bounds(plr, workspace, goal, seed)
+
+
+@settings(max_examples=6)
+@given(st.integers(0, 10_000), st.sampled_from([2, 3, 12]), st.sampled_from([(40, None), (300, None), (300, 400)]))
+def test_bounds_hold_the_exact_distance_to_the_nearest_goal(seed, num_goals, limits):
+    """Two of the goals are in one cell."""
+    workspace = random_workspace(seed)
+    goals = workspace.sample_free(num_goals, seed)
+    goals[1] = goals[0] + 1e-7 * (np.mean(BOUNDS, axis=0) - goals[0])
+    goals = goals[shapely.intersects_xy(workspace.free_space, *goals.T)]
+    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=limits[0], max_bytes=limits[1])
+    x = hard_points(plr, workspace, 4000, seed)
+    distance = np.min([VisibilityGraph(workspace, goal)(x) for goal in goals], axis=0)
+    check_between(plr, x, distance, 1e-12 * (1 + distance))
+
+
+@pytest.mark.parametrize("num_goals", [2, 30])
+@pytest.mark.parametrize(
+    ("periodic", "max_leaves", "gap"),
+    [
+        ([False], 60, 0.05),
+        ([True], 60, 0.05),
+        ([True, False], 300, 0.9),
+        pytest.param([False, False, False], 600, 1.5, marks=pytest.mark.full),
+        pytest.param([True, False, False, True], 400, 2.0, marks=pytest.mark.full),
+    ],
+)
+def test_bounds_hold_the_distance_to_the_nearest_goal_in_an_empty_box(periodic, max_leaves, gap, num_goals):
+    dim, rng = len(periodic), np.random.default_rng(0)
+    width = np.array([1.0, 2.0, 0.7, 1.0])[:dim]
+    for blocks in (None, (((0,), 2.0), (tuple(range(1, dim)), 0.5)))[:dim]:
+        space = BoxSpace(Box(np.zeros(dim), width, periodic), blocks=blocks)
+        goals, x = rng.random((num_goals, dim)) * width, rng.random((3000, dim)) * width
+        plr = solve_eikonal(space, goals, max_leaves=max_leaves)
+        distances = np.stack([space.straight(x, goal) for goal in goals])
+        distance, lower, upper = check_between(plr, x, distances.min(axis=0))
+        assert num_goals > 2 or np.mean(upper - lower) < gap * distance.mean()
+        excess = distances[plr.which(x), np.arange(len(x))] - distances.min(axis=0)
+        assert excess.mean() < 0.1 * distance.mean() and (num_goals > 2 or np.mean(excess > 0) < 0.1)
+
+
+def test_bounds_hold_the_cost_to_the_nearest_goal_where_speeds_rise_evenly():
+    """Fastest paths are arcs, whose times are known."""
+    speed = lambda q: 0.5 + 3 * q[..., 1]  # noqa: E731
+    space, goals = BoxSpace(Box((0, 0), (1, 2))), np.array([(0.3, 0.6), (0.8, 0.9), (0.5, 0.2)])
+    plr = solve_eikonal(space, goals, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12.0, 0.15), max_leaves=400)
+    x = np.random.default_rng(0).uniform((0, 0.1), (1, 1), (3000, 2))  # whose arcs stay inside
+    square = np.sum((x[:, None] - goals) ** 2, axis=2)
+    times = np.arccosh(1 + 9 * square / (2 * speed(x)[:, None] * speed(goals))) / 3
+    _, lower, upper = check_between(plr, x, times.min(axis=1))
+    assert np.mean(upper - lower) < 0.105  # of each goal alone 0.105 to 0.121
+    assert np.mean(plr.which(x) != times.argmin(axis=1)) < 0.02
 
 
 @pytest.mark.parametrize("max_bytes", [None, 300])

@@ -1,6 +1,8 @@
+import jax
 import numpy as np
 import pytest
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_bounds
+from space_helpers import rectangle
 
 from plr_jax import (
     Box,
@@ -86,6 +88,65 @@ def test_an_estimate_of_a_goal_that_no_node_sees_is_refused():
     walls = [(0, 0), (0.5711, 1)], [(0.5713, 0), (1, 1)], [(0, 0), (1, 0.3511)], [(0, 0.3513), (1, 1)]
     with pytest.raises(ValueError, match="must be seen from a node of the grid of 401 x 401 nodes"):
         solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), (0.5712, 0.3512), certified=False)
+    walls = [(0.3, 0.2), (0.5711, 0.5)], [(0.5713, 0.2), (1, 1)], [(0.3, 0.2), (1, 0.3511)], [(0.3, 0.3513), (1, 1)]
+    for num in (1, 9):  # goals that are near one another are not nearest to any node, but that is no obstacle
+        goals = [*np.linspace((0.1001, 0.1001), (0.1002, 0.1002), num), (0.5712, 0.3512)]
+        with pytest.raises(ValueError, match=rf"must be seen .* \[0.5712, 0.3512\] \(row {num}\) is not: it is too"):
+            solve_eikonal(BoxSpace(Box((0, 0), (1, 1)), *walls), goals, certified=False)
+
+
+EXITS = np.array([(0.3, 0.4), (3.7, 0.3), (1.0, 1.5), (2.2, 2.7), (2.2, 2.7)])  # one on a wall; the last twice
+
+
+@pytest.fixture(scope="module")
+def from_exits():
+    """Points of the room, and their distances to each exit."""
+    x = ROOM.sample_free(20_000, 0)
+    return x, np.stack([VisibilityGraph(ROOM, goal)(x) for goal in EXITS])
+
+
+@pytest.mark.parametrize(("certified", "error"), [(False, 0.004), (True, 0.01)])
+def test_of_several_goals_the_nearest_counts_and_is_known(from_exits, certified, error):
+    plr = solve_eikonal(PlaneSpace(ROOM), EXITS, max_leaves=1_000, certified=certified)
+    x, distances = from_exits
+    least = distances.min(axis=0)
+    assert np.abs(np.asarray(plr(x)) - least).mean() < error * least.mean()
+    which = plr.which(x)
+    excess = distances[which, np.arange(len(x))] - least
+    assert (excess > 1e-9).mean() < 0.01 and excess.max() < 0.03  # two steps of the grid
+    assert plr.which(EXITS).tolist() == [0, 1, 2, 3, 3]
+    assert plr.which([(1.5, 9.0), (np.nan, 1.0)]).tolist() == [-1, -1]
+
+
+def test_which_goal_is_nearest_is_not_in_files_nor_under_jit(tmp_path):
+    plr = solve_eikonal(EMPTY, [(0.1, 0.1), (0.9, 0.9)], max_leaves=50)
+    assert plr.with_label("two").which([[0.8, 0.8]]).tolist() == [1]
+    save(plr, tmp_path / "two.plr")
+    loaded, through = load(tmp_path / "two.plr"), jax.jit(lambda each: each)(plr)
+    np.testing.assert_array_equal(jax.jit(lambda each, x: each(x))(plr, EXITS), plr(EXITS))
+    for other in (loaded, through, solve_eikonal(EMPTY, (0.1, 0.1), max_leaves=50)):
+        with pytest.raises(ValueError, match="Only a PLR that solve_eikonal returned for goals"):
+            other.which([[0.8, 0.8]])
+    with pytest.raises(ValueError, match="x must have"):
+        plr.which([0.8, 0.8])
+
+
+def test_one_goal_in_a_row_or_twice_is_one_goal():
+    single, row, twice = (
+        solve_eikonal(PlaneSpace(ROOM), goal, max_leaves=100) for goal in (GOAL, [GOAL], [GOAL, GOAL])
+    )
+    assert single.to_bytes() == row.to_bytes() == twice.to_bytes()
+    assert row.which([GOAL]).tolist() == twice.which([GOAL]).tolist() == [0]
+
+
+@pytest.mark.parametrize("certified", [False, True])
+def test_goals_may_be_in_parts_of_space_that_no_path_joins(certified):
+    """Three rooms; the walls between them are thicker than what an estimate may reach across."""
+    workspace = Workspace(((0, 0), (3, 1)), [rectangle(x, 0, x + 0.2, 1) for x in (0.9, 1.9)])
+    goals, x = [(0.5, 0.5), (2.5, 0.5), (2.5, 0.6)], np.array([(0.3, 0.1), (1.5, 0.5), (2.9, 0.1), (2.9, 0.9)])
+    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=500, certified=certified)
+    assert plr.which(x).tolist() == [0, -1, 1, 2]
+    np.testing.assert_allclose(plr(x[[0, 2, 3]]), [np.hypot(0.2, 0.4), np.hypot(0.4, 0.4), 0.5], rtol=0.02)
 
 
 @pytest.mark.full
@@ -259,7 +320,18 @@ def of_bounds(answer):
     [
         ({"goal": (1.5, 1.5)}, r"goal must be a free configuration.*1\.5"),
         ({"goal": (9.0, 1.5)}, "goal must be a free configuration"),
-        ({"goal": (0.3,)}, "goal must have 2 coordinates, as the space has axes, got 1"),
+        ({"goal": (0.3,)}, "goal must have 2 coordinates, as the space has axes, or be rows of these, got 1"),
+        ({"goal": [(0.3, 0.4, 0.0)] * 2}, r"or be rows of these, got shape \(2, 3\)"),
+        ({"goal": np.zeros((0, 2))}, r"got shape \(0, 2\)"),
+        ({"goal": [[[0.3, 0.4]]]}, r"got shape \(1, 1, 2\)"),
+        *(
+            (
+                {"goal": [GOAL, wrong], "certified": proven},
+                rf"free configuration of the space, .*{wrong[1]}\] \(row 1\)",
+            )
+            for wrong in ((1.5, 1.5), (9.0, 1.5), (0.3, np.nan))
+            for proven in (True, False)
+        ),
         ({"goal": (np.nan, 0.4)}, "goal"),
         ({"max_leaves": 0}, "max_leaves must be"),
         ({"max_bytes": 0}, "max_bytes must be"),
