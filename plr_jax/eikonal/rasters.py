@@ -11,6 +11,7 @@ References:
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise, product
 from math import gcd
 from typing import Any
@@ -31,7 +32,7 @@ from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
 from plr_jax.spaces import RasterCost
 
-_FINE_NODES, _MOST_FINE_NODES = 1_500_000, 1 << 24  # nodes of fully divided cells; of cells divided by three
+_FINE_NODES, _MOST_NODES = 1_500_000, 1 << 24  # least number of nodes; most nodes if cells are divided
 _TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
 _BOUND_LEAVES = 20_000  # cells of the convex program that proves lower bounds
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
@@ -227,17 +228,15 @@ def _as_sources(
 
 def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     """Return distances by fast marching over nodes, an odd number of them along each side of a cell."""
-    # 1. Nodes.
-    parts = max(int(np.sqrt(_FINE_NODES / cost.size) + 1) // 2 * 2 - 1, 1)
-    if parts == 1 and 9 * cost.size <= _MOST_FINE_NODES:
-        parts = 3
-    if parts > 1:
-        cost = cost.repeat(parts, axis=0).repeat(parts, axis=1)
-    step, shape, is_open = side / parts, np.array(cost.shape), np.isfinite(cost)
+    # 1. Nodes, about as far apart along both axes.
+    num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
+    parts = np.maximum(side * np.sqrt(num_nodes / cost.size / side.prod()) - 1, 0).astype(int)[::-1] // 2 * 2 + 1
+    cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
+    step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
     # 2. Straight motions between sources and nodes around them, in a source's cell or beyond one of its sides.
     home = np.minimum((points / step).astype(np.int64)[:, ::-1], shape - 1)
-    reach = np.arange(-(parts // 2) - 1, parts // 2 + 2)
-    place = home[:, None] + np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
+    reach = (np.arange(-(count // 2) - 1, count // 2 + 2) for count in parts)
+    place = home[:, None] + np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 2)
     is_beside = (place // parts == home[:, None] // parts).any(axis=2)
     source, which = np.nonzero(((place >= 0) & (place < shape)).all(axis=2) & is_beside)
     is_kept = is_open[tuple(place[source, which].T)]
@@ -267,26 +266,29 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
         distance[reached] = np.asarray(time)[reached] + begin
     if len(points) > 1:
         label = _labels(distance, cost, step, label)
-    centers = np.s_[parts // 2 :: parts, parts // 2 :: parts]
+    centers = tuple(np.s_[count // 2 :: count] for count in parts)
     distance = distance[centers]
     return distance, label[centers] if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
     """Give each node the label of the labeled node to which the steepest way down leads."""
-    # 1. The next node: of eight neighbors, the one through which the distance is least.
+    # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
-    ends = {0: (slice(None), slice(None)), 1: (slice(-1), slice(1, None)), -1: (slice(1, None), slice(-1))}
-    for offset in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        here, there = zip(*(ends[along] for along in offset), strict=True)
-        way = float(np.hypot(*(step[::-1] * offset))) / 2 * (cost[here] + cost[there])
-        if 0 not in offset:  # no way between two barriers that touch in a corner
-            way = np.where(np.isfinite(cost[here[0], there[1]] + cost[there[0], here[1]]), way, np.inf)
-        for a, b in ((here, there), (there, here)):
-            through = distance[b] + way
-            is_better = (through < least[a]) & (distance[b] < distance[a])
-            least[a][is_better], toward[a][is_better] = through[is_better], number[b][is_better]
+    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
+        first = np.maximum([0, 0], [-i, -j])
+        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
+
+        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
+            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
+
+        way = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(i, j, partial(part, cost))
+        for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
+            through = part(distance, b) + way
+            is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
+            part(least, a)[is_better] = through[is_better]
+            part(toward, a)[is_better] = part(number, b)[is_better]
     del number, least
     # 2. Double the way until it ends.
     toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
@@ -321,11 +323,7 @@ def _over_edges(
     end, weight = np.empty((rows, columns, len(edges)), np.int32), np.empty((rows, columns, len(edges)))
     for number, (i, j) in enumerate(edges):
         length, count = float(np.hypot(*(side[::-1] * (i, j)))), max(abs(i), abs(j))
-        shares, along, corners = _cells_along(i, j)
-        mean = sum(share * beside(cost, cell) for share, cell in zip(shares, along, strict=True))
-        for two in corners:  # a motion passes a corner only if one of the other two cells there is no barrier
-            mean = np.where(np.isinf(np.minimum(*(beside(cost, cell) for cell in two))), np.inf, mean)
-        weight[..., number] = length * mean
+        weight[..., number] = length * _mean_along(i, j, partial(beside, cost))
         heights = []
         for part in range(count + 1) if height is not None else ():
             (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
@@ -352,10 +350,15 @@ def _over_edges(
     return distance.reshape(rows, columns), nearest.reshape(rows, columns)
 
 
-def _cells_along(i: int, j: int) -> tuple[list[float], list[tuple[int, int]], list[list[tuple[int, int]]]]:
-    """Return the shares of a straight motion in the cells that it meets, these cells, and pairs beside corners."""
-    breaks = {0.0, 1.0} | {(k + 0.5) / abs(each) for each in (i, j) for k in range(abs(each))}
-    ends = sorted(breaks)
-    along = [(round(i * (a + b) / 2), round(j * (a + b) / 2)) for a, b in pairwise(ends)]
-    corners = [[(a[0], b[1]), (b[0], a[1])] for a, b in pairwise(along) if a[0] != b[0] and a[1] != b[1]]
-    return [b - a for a, b in pairwise(ends)], along, corners
+def _mean_along(i: int, j: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
+    """Return the mean cost along a straight motion to the cell ``(i, j)`` further; ``inf`` if barriers stop it.
+
+    ``cost_at`` gives the costs of the cells that are so many rows and columns away from where motions begin.
+    """
+    ends = sorted({0.0, 1.0} | {(k + 0.5) / abs(each) for each in (i, j) for k in range(abs(each))})
+    cells = [(round(i * (a + b) / 2), round(j * (a + b) / 2)) for a, b in pairwise(ends)]
+    mean: Any = sum((b - a) * cost_at(cell) for (a, b), cell in zip(pairwise(ends), cells, strict=True))
+    for a, b in pairwise(cells):
+        if a[0] != b[0] and a[1] != b[1]:  # a corner: one of the other two cells there must be no barrier
+            mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
+    return mean

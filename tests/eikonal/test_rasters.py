@@ -22,7 +22,7 @@ def test_equal_costs_give_euclidean_distances_to_the_nearest_source(cell_size):
     two = np.sort(to_each, axis=2)
     is_clear = two[..., 1] - two[..., 0] > 0.01 * two[..., 0]
     assert (result.nearest == to_each.argmin(axis=2))[is_clear].all()
-    assert is_clear.mean() > 0.9
+    assert is_clear.mean() > 0.8
 
 
 def test_paths_refract_where_costs_jump():
