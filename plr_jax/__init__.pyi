@@ -18,6 +18,8 @@ from ._types import DistanceFn as DistanceFn
 from ._types import HeuristicFn as HeuristicFn
 from ._validate import ValidationReport as ValidationReport
 from ._validate import validate as validate
+from .eikonal import CostDistance as CostDistance
+from .eikonal import cost_distance as cost_distance
 from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
 from .geometry.workspace import Workspace as Workspace

@@ -1,3 +1,5 @@
 """Cost-to-go functions computed from free space and motion costs: the eikonal equation on a partition."""
 
+from plr_jax.eikonal.rasters import CostDistance as CostDistance
+from plr_jax.eikonal.rasters import cost_distance as cost_distance
 from plr_jax.eikonal.solve import solve_eikonal as solve_eikonal

@@ -1,0 +1,163 @@
+"""Cost distances over rasters, beside distances in closed form, exact shortest paths and one-dimensional sums."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from plr_jax import VisibilityGraph, Workspace, cost_distance
+
+
+def centers(shape, cell_size=(1, 1)):
+    x, y = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    return np.stack([x, y], axis=-1) * cell_size
+
+
+@pytest.mark.parametrize("cell_size", [1, (2, 0.5)])
+def test_equal_costs_give_euclidean_distances_to_the_nearest_source(cell_size):
+    shape, side = (60, 80), np.broadcast_to(cell_size, 2)
+    sources = np.array([(10.2, 15.9), (70.7, 40.1), (69.0, 41.0)]) * side
+    result = cost_distance(np.full(shape, 3.0), sources, cell_size=cell_size)
+    to_each = np.linalg.norm(centers(shape, side)[:, :, None] - sources, axis=3)
+    np.testing.assert_allclose(result.distance, 3 * to_each.min(axis=2), atol=0.004 * 3 * to_each.max())
+    two = np.sort(to_each, axis=2)
+    is_clear = two[..., 1] - two[..., 0] > 0.01 * two[..., 0]
+    assert (result.nearest == to_each.argmin(axis=2))[is_clear].all()
+    assert is_clear.mean() > 0.8
+
+
+def test_paths_refract_where_costs_jump():
+    costs = np.ones((60, 60))
+    costs[:, 30:] = 4
+    result = cost_distance(costs, [(10.5, 20.5)])
+
+    def fermat(x, y):
+        ways = lambda at: np.hypot(30 - 10.5, at - 20.5) + 4 * np.hypot(x - 30, y - at)  # noqa: E731
+        return minimize_scalar(ways, bounds=(0, 60), method="bounded", options={"xatol": 1e-9}).fun
+
+    cells = [(i, j) for i in range(2, 60, 12) for j in range(31, 60, 7)]
+    expected = [fermat(j + 0.5, i + 0.5) for i, j in cells]
+    np.testing.assert_allclose([result.distance[cell] for cell in cells], expected, rtol=0.003)
+
+
+def test_barriers_are_walked_around_and_what_they_close_off_is_not_reached():
+    costs = np.ones((40, 40))
+    costs[10:40, 20] = np.nan
+    costs[0:5, 0:6] = np.inf
+    costs[1:4, 1:4] = 1  # a closed room
+    workspace = Workspace(
+        ((0, 0), (40, 40)), [[(20, 10), (21, 10), (21, 40), (20, 40)], [(0, 0), (6, 0), (6, 5), (0, 5)]]
+    )
+    result = cost_distance(costs, [(10.5, 30.5)])
+    truth = VisibilityGraph(workspace, (10.5, 30.5))(centers(costs.shape).reshape(-1, 2)).reshape(costs.shape)
+    reached = np.isfinite(truth)
+    np.testing.assert_allclose(result.distance[reached], truth[reached], atol=0.01 * truth[reached].max())
+    assert np.isinf(result.distance[~reached]).all()
+    assert (result.nearest == np.where(reached, 0, -1)).all()
+
+
+@pytest.mark.parametrize("heights", [None, np.zeros((2, 2))])
+def test_no_path_passes_between_barriers_that_touch_in_a_corner(heights):
+    result = cost_distance([[1, np.nan], [np.nan, 1]], [(0.9, 0.9)], heights=heights)
+    assert np.isfinite(result.distance).tolist() == [[True, False], [False, False]]
+
+
+def test_a_mask_of_sources_is_numbered_by_rows():
+    mask = np.zeros((20, 30), bool)
+    mask[3, 25] = mask[15, 2] = True
+    by_mask = cost_distance(np.ones((20, 30)), mask)
+    by_points = cost_distance(np.ones((20, 30)), [(25.5, 3.5), (2.5, 15.5)])
+    np.testing.assert_array_equal(by_mask.distance, by_points.distance)
+    np.testing.assert_array_equal(by_mask.nearest, by_points.nearest)
+    assert by_mask.nearest[3, 25] == 0
+    assert by_mask.nearest[15, 2] == 1
+
+
+def test_an_xarray_keeps_its_coordinates_and_gives_them_to_points():
+    xarray = pytest.importorskip("xarray")
+    costs = 1 + np.random.default_rng(0).random((20, 30))
+    costs[4, 4] = -9999
+    raster = xarray.DataArray(
+        costs[::-1],  # from north to south, as in a GeoTIFF
+        dims=("y", "x"),
+        coords={"y": 5000 + 10 * np.arange(20)[::-1], "x": 700 + 10 * np.arange(30)},
+        attrs={"_FillValue": -9999, "crs": "EPSG:32633"},
+    )
+    result = cost_distance(raster, [(700.0, 5000.0), (940.0, 5170.0)])
+    costs[4, 4] = np.nan
+    expected = cost_distance(costs, [(5, 5), (245, 175)], cell_size=10)
+    np.testing.assert_allclose(result.distance.values, expected.distance[::-1])
+    np.testing.assert_array_equal(result.nearest.values, expected.nearest[::-1])
+    assert result.distance.sel(x=700, y=5000) == 0
+    assert result.distance.sel(x=740, y=5040) == np.inf
+    assert result.distance.attrs["crs"] == "EPSG:32633"
+    mask = raster.copy(data=np.zeros(raster.shape, bool))
+    mask[19, 0] = mask[2, 24] = True
+    np.testing.assert_array_equal(cost_distance(raster, mask).nearest, 1 - result.nearest.where(raster > 0, 2))
+
+
+def test_a_hiker_climbs_more_slowly_than_she_descends():
+    x = np.arange(41) + 0.5
+    heights = np.broadcast_to(0.2 * x, (5, 41))
+    down = cost_distance(np.ones((5, 41)), [(0.5, 2.5)], heights=heights)
+    up = cost_distance(np.ones((5, 41)), [(0.5, 2.5)], heights=heights, from_sources=True)
+    # Tobler, 1993: 6 exp(-3.5 |slope + 0.05|) kilometers per hour.
+    kilometers_per_hour = 6 * np.exp(-3.5 * np.abs(np.array([-0.2, 0.2]) + 0.05))
+    seconds = 40 / (kilometers_per_hour / 3.6)
+    np.testing.assert_allclose([down.distance[2, 40], up.distance[2, 40]], seconds)
+
+
+def test_a_slope_function_of_ones_gives_euclidean_distances():
+    result = cost_distance(np.ones((40, 40)), [(20.5, 20.5)], heights=np.eye(40), slope_cost=np.ones_like)
+    truth = np.linalg.norm(centers((40, 40)) - 20.5, axis=2)
+    assert (result.distance >= truth - 1e-9).all()
+    np.testing.assert_allclose(result.distance, truth, rtol=0.004)
+
+
+@pytest.mark.full
+def test_bounds_hold_and_every_cell_that_is_reached_has_some():
+    costs = np.ones((60, 60))
+    costs[:, 30:] = 4
+    costs[10:, 40] = np.nan
+    result = cost_distance(costs, [(10.3, 20.6), (50.5, 50.5)], bounds=True)
+    reached = np.isfinite(costs)
+    assert np.isfinite(result.upper[reached]).all()
+    left = centers((60, 60))[:, :30]
+    truth = np.linalg.norm(left - (10.3, 20.6), axis=2)
+    assert (result.lower[:, :30] <= truth).all()
+    assert (result.upper[:, :30] >= truth).all()
+    assert (result.upper - result.lower)[reached].mean() < 0.1 * result.distance[reached].mean()
+
+
+def test_a_plr_of_stated_bytes():
+    result = cost_distance(np.ones((50, 50)), [(10.5, 10.5)], max_bytes=2048)
+    truth = np.linalg.norm(centers((50, 50)) - 10.5, axis=2)
+    assert result.plr.num_bytes <= 2048
+    assert np.abs(np.asarray(result.plr(centers((50, 50)))) - truth).mean() < 0.01 * truth.mean()
+
+
+@pytest.mark.parametrize(
+    ("costs", "sources", "options", "message"),
+    [
+        (np.ones(3), [(0, 0)], {}, "costs must be positive costs of shape"),
+        ([[1, 0.0]], [(0.5, 0.5)], {}, "costs must be positive, got 0 in 1 cells. For barriers use NaN"),
+        ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"got source 1 at \[1.5, 0.5\]"),
+        ([[1, 1.0]], [(2.5, 0.5)], {}, r"got source 0 at \[2.5, 0.5\]"),
+        ([[1, 1.0]], np.zeros((1, 2), bool), {}, "at least one source, got none"),
+        ([[1, 1.0]], np.ones((2, 2), bool), {}, r"must have the raster's shape \(1, 2\), got \(2, 2\)"),
+        ([[1, 1.0]], [(0.5, 0.5)], {"cell_size": -1}, "one or two positive numbers, got -1"),
+        ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0]]}, r"heights must have shape \(1, 2\)"),
+        ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "slope_cost": "hill"}, "or a function"),
+        ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "bounds": True}, "without bounds"),
+        ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "slope_cost": np.zeros_like}, "must return positive numbers"),
+    ],
+)
+def test_wrong_arguments_are_named(costs, sources, options, message):
+    with pytest.raises(ValueError, match=message):
+        cost_distance(costs, sources, **options)
+
+
+def test_coordinates_must_be_evenly_spaced():
+    xarray = pytest.importorskip("xarray")
+    raster = xarray.DataArray(np.ones((1, 3)), dims=("y", "x"), coords={"y": [0.0], "x": [0.0, 1, 3]})
+    with pytest.raises(ValueError, match="'x' must be evenly spaced, got steps from 1 to 2"):
+        cost_distance(raster, [(0, 0)])
