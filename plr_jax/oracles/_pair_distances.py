@@ -5,6 +5,7 @@ sees. So its length is the minimum over both lists of corners of two straight se
 corners.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,13 +16,15 @@ from scipy.sparse import csgraph
 from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import Distances
 from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
-from plr_jax.geometry.graph import Graph
+from plr_jax.geometry.graph import Graph, dijkstra
+from plr_jax.geometry.single_points import FEW, Place, PointLocator, CornerSight
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time; up to so many, all are cached
+_LANDMARKS = 16
 _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
@@ -57,23 +60,34 @@ class PairDistances:
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
-    def _graph(self) -> Graph:
-        return Graph(self.visibility.corners.points, self.visibility.edges)
+    def locator(self) -> PointLocator:
+        return PointLocator(self.workspace.triangulation)
 
     @cached_property
-    def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
-        """A table of distances between corners, and flags that say which of its rows are known."""
-        return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
+    def sight(self) -> CornerSight:
+        return CornerSight(self.visibility)
 
-    def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
-        """Return distances from some corners to all corners; cached if a table of all distances is small enough."""
-        if len(self._graph.vertices) > self._at_once:
-            return csgraph.dijkstra(self._graph.adjacency, indices=corners)
-        is_known, table = self._distance_cache
-        missing = corners[~is_known[corners]]
-        table[missing] = csgraph.dijkstra(self._graph.adjacency, indices=missing)
-        is_known[missing] = True
-        return table[corners]
+    @cached_property
+    def _graph(self) -> Graph:
+        """The graph of corners, with only the edges that a shortest path can pass in full: tangent at both ends."""
+        corners, edges = self.visibility.corners, self.visibility.edges
+        start, end = edges.T
+        return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
+
+    @cached_property
+    def _rows(self) -> dict[int, Float[np.ndarray, "corners"]]:
+        """Known distances from single corners to all corners."""
+        return {}
+
+    def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
+        """Return distances from some corners to all corners; ``_DISTANCES`` numbers are cached."""
+        rows, missing = self._rows, [corner for corner in corners if corner not in self._rows]
+        if missing:
+            if len(rows) + len(missing) > self._at_once:
+                rows, missing = {}, corners
+                self.__dict__["_rows"] = rows
+            rows.update(zip(missing, csgraph.dijkstra(self._graph.adjacency, indices=missing), strict=True))
+        return [rows[corner] for corner in corners]
 
     @property
     def _at_once(self) -> int:
@@ -93,6 +107,14 @@ class PairDistances:
         """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
+        if not 0 < len(x) <= FEW:
+            return self._of_batch(x, y)
+        distance = np.array([self._single(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)])
+        if len(rest := np.flatnonzero(np.isnan(distance))):
+            distance[rest] = self._of_batch(x[rest], y[rest])
+        return distance
+
+    def _of_batch(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
@@ -106,6 +128,78 @@ class PairDistances:
             pairs = hidden[part]
             distance[pairs] = self._by_corners(x[pairs], y[pairs])
         return distance
+
+    def _single(self, x: list[float], y: list[float]) -> float:
+        """Return the distance of a pair of points away from walls and sides of triangles, else NaN."""
+        if y < x:
+            x, y = y, x
+        start, end = self.locator.place(*x), self.locator.place(*y)
+        if start is None or end is None:
+            return math.nan
+        straight = self.locator.is_free_segment(start, end)
+        if straight is None:
+            straight = self.workspace.is_visible(np.array([x]), np.array([y]))[0]
+        dx, dy = x[0] - y[0], x[1] - y[1]
+        return math.sqrt(dx * dx + dy * dy) if straight else self._around(x, start, y, end)
+
+    def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
+        """Return the length of the shortest path with turns: a best-first search for the first corner.
+
+        A corner's lower bound is its distance to ``x`` plus the difference between the distances of the corner and
+        of ``y`` to a landmark; see Goldberg and Harrelson, "Computing the shortest path: A* search meets graph
+        theory" (2005).
+        """
+        (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
+        if not len(first) or not len(last):
+            return math.inf
+        may_turn = self.sight.may_turn
+        # 1. Compute the distance from each landmark to y, through the corners that see y.
+        lengths, tested = self._landmarks[last] + to_last[:, None], set[int]()
+        while new := {*lengths.argmin(axis=0).tolist()} - tested:
+            lengths[[i for i in new if not may_turn(int(last[i]), end)]] = np.inf
+            tested |= new
+        # 2. Try first corners in ascending order of their lower bounds.
+        with np.errstate(invalid="ignore"):  # both may be infinitely far from a landmark
+            apart = np.abs(self._landmarks[first] - lengths.min(axis=0))
+        bound = to_first + np.fmax.reduce(apart, axis=1, initial=0.0) - self._rounding
+        shortest = math.inf
+        for i in bound.argsort().tolist():
+            if bound[i] >= shortest:
+                break
+            if may_turn(corner := int(first[i]), start):
+                onward = self._corner_distances([corner])[0][last] + to_last
+                nearest = next((k for k in onward.argsort().tolist() if may_turn(int(last[k]), end)), None)
+                if nearest is not None:
+                    shortest = min(shortest, float(to_first[i] + onward[nearest]))
+        return shortest
+
+    def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
+        """Return the corners at which paths from the triangle of a point may turn, and their distances from it."""
+        first, listed = self._regions
+        corner = listed[first[place.triangle] : first[place.triangle + 1]]
+        dx, dy = (self.visibility.corners.points[corner] - x).T
+        return corner, np.sqrt(dx * dx + dy * dy)
+
+    @cached_property
+    def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
+        """Distances of all corners from a few that are far from one another."""
+        points, table = self.visibility.corners.points, self.visibility.table
+        graph, all_corners = Graph(points, self.visibility.edges), np.arange(len(points))
+        nearest, columns = np.full(len(points), np.inf), []
+        for _ in range(min(len(points), _LANDMARKS)):
+            landmark = np.full(len(points), nearest.argmax())
+            distance = dijkstra(graph, int(landmark[0]))[0]
+            # The graph lacks the edges at whose ends no path can turn.
+            direct = table.sees(landmark, points) & table.sees(all_corners, points[landmark])
+            distance[direct] = np.linalg.norm(points - points[landmark], axis=1)[direct]
+            columns.append(distance)
+            nearest = np.minimum(nearest, distance)
+        return np.stack(columns, axis=1)
+
+    @cached_property
+    def _rounding(self) -> float:
+        largest = float(self._landmarks[np.isfinite(self._landmarks)].max())
+        return _SLACK * largest + 4 * self.workspace.tolerance
 
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
@@ -124,7 +218,7 @@ class PairDistances:
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
-            between = self._corner_distances(corners[begin : begin + at_once])
+            between = np.stack(self._corner_distances(corners[begin : begin + at_once].tolist()))
             of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))
             counts = np.diff(at_y.first)[at_x.point[of_these]]
             for part in parts(counts, _WAYS):

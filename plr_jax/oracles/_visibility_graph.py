@@ -1,5 +1,6 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -25,6 +26,7 @@ from plr_jax.geometry.corners import (
     views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
+from plr_jax.geometry.single_points import FEW, PointSight
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -154,6 +156,10 @@ class VisibilityGraph:
         triangulation = self.workspace.triangulation
         visits = triangles_within(triangulation, self._corners.views[turns.vertex - 1], *turns.bounds)
         return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
+
+    @cached_property
+    def _goal_sight(self) -> PointSight:
+        return PointSight(self._goal_table)
 
     @cached_property
     def sources(self) -> Sources:
@@ -286,6 +292,32 @@ class VisibilityGraph:
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
+        if not 0 < len(x) <= FEW:
+            return self._first_turns_of_batch(x)
+        found = [self._first_turn(*point) or (math.nan, -1) for point in x.tolist()]
+        distance, turn = (np.array(column) for column in zip(*found))
+        if len(rest := np.flatnonzero(turn < 0)):
+            distance[rest], turn[rest] = self._first_turns_of_batch(x[rest])
+        return distance, turn
+
+    def _first_turn(self, x: float, y: float) -> tuple[float, int] | None:
+        """Return what :meth:`_first_turns` does for a point away from walls and sides of triangles, else None."""
+        if (place := self._pairs.locator.place(x, y)) is None:
+            return None
+        if self._goal_sight.sees(0, place.x, place.y):
+            dx, dy = x - self.goal[0], y - self.goal[1]
+            return math.sqrt(dx * dx + dy * dy), 0
+        regions, turns = self.regions, self._turns
+        turn = regions.turn[regions.first[place.triangle] : regions.first[place.triangle + 1]]
+        dx, dy = (turns.points[turn] - (x, y)).T
+        length = np.sqrt(dx * dx + dy * dy) + turns.distance[turn]
+        for i in np.argsort(length, kind="stable").tolist():
+            vertex = int(turns.vertex[turn[i]])
+            if self._pairs.sight.sees(vertex - 1, place.x, place.y):
+                return float(length[i]), vertex
+        return math.inf, 0
+
+    def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self._corners.table.sees
