@@ -16,15 +16,15 @@ from scipy.sparse import csgraph
 from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import Distances
 from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
-from plr_jax.geometry.graph import Graph, dijkstra
-from plr_jax.geometry.single_points import FEW, Place, PointLocator, CornerSight
+from plr_jax.geometry.graph import Graph
+from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
-_DISTANCES = 1 << 24  # distances between corners in memory at a time; up to so many, all are cached
-_LANDMARKS = 16
+_DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
+_LANDMARKS = 24  # on den520d, fewer leave more corners to try, and more cost more than they save
 _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
@@ -80,11 +80,11 @@ class PairDistances:
         return {}
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
-        """Return distances from some corners to all corners; ``_DISTANCES`` numbers are cached."""
+        """Return distances from some corners, at most ``_at_once``, to all corners; up to so many are cached."""
         rows, missing = self._rows, [corner for corner in corners if corner not in self._rows]
         if missing:
             if len(rows) + len(missing) > self._at_once:
-                rows, missing = {}, corners
+                rows, missing = {}, corners  # other threads may read the old rows
                 self.__dict__["_rows"] = rows
             rows.update(zip(missing, csgraph.dijkstra(self._graph.adjacency, indices=missing), strict=True))
         return [rows[corner] for corner in corners]
@@ -107,14 +107,14 @@ class PairDistances:
         """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
-        if not 0 < len(x) <= FEW:
-            return self._of_batch(x, y)
-        distance = np.array([self._single(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)])
+        if len(x) > FEW:
+            return self._distances(x, y)
+        distance = np.array([self._distance(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)], float)
         if len(rest := np.flatnonzero(np.isnan(distance))):
-            distance[rest] = self._of_batch(x[rest], y[rest])
+            distance[rest] = self._distances(x[rest], y[rest])
         return distance
 
-    def _of_batch(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
+    def _distances(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
@@ -129,77 +129,65 @@ class PairDistances:
             distance[pairs] = self._by_corners(x[pairs], y[pairs])
         return distance
 
-    def _single(self, x: list[float], y: list[float]) -> float:
-        """Return the distance of a pair of points away from walls and sides of triangles, else NaN."""
+    def _distance(self, x: list[float], y: list[float]) -> float:
+        """Return the distance of one pair, to the bit as :meth:`_distances` does; NaN if a point has no place."""
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
         if start is None or end is None:
             return math.nan
-        straight = self.locator.is_free_segment(start, end)
-        if straight is None:
-            straight = self.workspace.is_visible(np.array([x]), np.array([y]))[0]
+        is_visible = self.locator.is_free_segment(start, end)
+        if is_visible is None:
+            is_visible = self.workspace.is_visible(np.array([x]), np.array([y]))[0]
         dx, dy = x[0] - y[0], x[1] - y[1]
-        return math.sqrt(dx * dx + dy * dy) if straight else self._around(x, start, y, end)
+        return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path with turns: a best-first search for the first corner.
+        """Return the length of the shortest path with turns; the ends are points and their places.
 
-        A corner's lower bound is its distance to ``x`` plus the difference between the distances of the corner and
-        of ``y`` to a landmark; see Goldberg and Harrelson, "Computing the shortest path: A* search meets graph
-        theory" (2005).
+        The search tries first corners in ascending order of their lower bounds. The bound of the way from a corner to
+        ``y`` is a difference of their distances to a landmark, as in Goldberg and Harrelson, "Computing the shortest
+        path: A* search meets graph theory" (2005).
         """
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
-        may_turn = self.sight.may_turn
-        # 1. Compute the distance from each landmark to y, through the corners that see y.
-        lengths, tested = self._landmarks[last] + to_last[:, None], set[int]()
-        while new := {*lengths.argmin(axis=0).tolist()} - tested:
-            lengths[[i for i in new if not may_turn(int(last[i]), end)]] = np.inf
-            tested |= new
-        # 2. Try first corners in ascending order of their lower bounds.
-        with np.errstate(invalid="ignore"):  # both may be infinitely far from a landmark
-            apart = np.abs(self._landmarks[first] - lengths.min(axis=0))
-        bound = to_first + np.fmax.reduce(apart, axis=1, initial=0.0) - self._rounding
-        shortest = math.inf
+        # 1. Bound the length of the way through each first corner, whether or not last corners see y.
+        of_first, of_last, legs = self._landmarks[first], self._landmarks[last], to_last[:, None]
+        with np.errstate(invalid="ignore"):  # a landmark and both corners may be infinitely far from one another
+            nearer, farther = of_first - (of_last - legs).max(axis=0), (of_last + legs).min(axis=0) - of_first
+        onward = np.fmax.reduce(np.fmax(nearer, farther), axis=1, initial=0.0)
+        bound = to_first + onward - self._rounding
+        # 2. Compute lengths until no bound is below the least one.
+        shortest, may_turn = math.inf, self.sight.may_turn
         for i in bound.argsort().tolist():
             if bound[i] >= shortest:
                 break
             if may_turn(corner := int(first[i]), start):
                 onward = self._corner_distances([corner])[0][last] + to_last
-                nearest = next((k for k in onward.argsort().tolist() if may_turn(int(last[k]), end)), None)
-                if nearest is not None:
-                    shortest = min(shortest, float(to_first[i] + onward[nearest]))
+                least = next((onward[k] for k in onward.argsort().tolist() if may_turn(int(last[k]), end)), math.inf)
+                shortest = min(shortest, float(to_first[i] + least))
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
-        """Return the corners at which paths from the triangle of a point may turn, and their distances from it."""
-        first, listed = self._regions
-        corner = listed[first[place.triangle] : first[place.triangle + 1]]
+        """Return the corners at which paths from the triangles of a point may turn, and their distances from it."""
+        corner = place.take(*self._regions)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
 
     @cached_property
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
-        """Distances of all corners from a few that are far from one another."""
-        points, table = self.visibility.corners.points, self.visibility.table
-        graph, all_corners = Graph(points, self.visibility.edges), np.arange(len(points))
-        nearest, columns = np.full(len(points), np.inf), []
-        for _ in range(min(len(points), _LANDMARKS)):
-            landmark = np.full(len(points), nearest.argmax())
-            distance = dijkstra(graph, int(landmark[0]))[0]
-            # The graph lacks the edges at whose ends no path can turn.
-            direct = table.sees(landmark, points) & table.sees(all_corners, points[landmark])
-            distance[direct] = np.linalg.norm(points - points[landmark], axis=1)[direct]
-            columns.append(distance)
-            nearest = np.minimum(nearest, distance)
-        return np.stack(columns, axis=1)
+        """Distances of all corners from a few corners that are far from one another."""
+        num = len(self._graph.vertices)
+        nearest, rows = np.full(num, np.inf), []
+        for _ in range(min(num, _LANDMARKS)):
+            rows += self._corner_distances([int(nearest.argmax())])
+            nearest = np.minimum(nearest, rows[-1])
+        return np.stack(rows, axis=1)
 
     @cached_property
     def _rounding(self) -> float:
-        largest = float(self._landmarks[np.isfinite(self._landmarks)].max())
-        return _SLACK * largest + 4 * self.workspace.tolerance
+        return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""

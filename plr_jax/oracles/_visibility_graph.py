@@ -26,7 +26,7 @@ from plr_jax.geometry.corners import (
     views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
-from plr_jax.geometry.single_points import FEW, PointSight
+from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -292,28 +292,29 @@ class VisibilityGraph:
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
-        if not 0 < len(x) <= FEW:
+        if len(x) > FEW:
             return self._first_turns_of_batch(x)
-        found = [self._first_turn(*point) or (math.nan, -1) for point in x.tolist()]
-        distance, turn = (np.array(column) for column in zip(*found))
+        distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
+        for i, (x0, x1) in enumerate(x.tolist()):
+            if (place := self._pairs.locator.place(x0, x1)) is not None:
+                distance[i], turn[i] = self._first_turn(x0, x1, place)
         if len(rest := np.flatnonzero(turn < 0)):
             distance[rest], turn[rest] = self._first_turns_of_batch(x[rest])
         return distance, turn
 
-    def _first_turn(self, x: float, y: float) -> tuple[float, int] | None:
-        """Return what :meth:`_first_turns` does for a point away from walls and sides of triangles, else None."""
-        if (place := self._pairs.locator.place(x, y)) is None:
-            return None
-        if self._goal_sight.sees(0, place.x, place.y):
-            dx, dy = x - self.goal[0], y - self.goal[1]
+    def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
+        """Return one point's distance and first graph vertex, to the bit as :meth:`_first_turns_of_batch` does."""
+        if self._goal_sight.sees(0, place):
+            goal_x, goal_y = self.goal.tolist()
+            dx, dy = x - goal_x, y - goal_y
             return math.sqrt(dx * dx + dy * dy), 0
-        regions, turns = self.regions, self._turns
-        turn = regions.turn[regions.first[place.triangle] : regions.first[place.triangle + 1]]
+        turns = self._turns
+        turn = place.take(self.regions.first, self.regions.turn)
         dx, dy = (turns.points[turn] - (x, y)).T
         length = np.sqrt(dx * dx + dy * dy) + turns.distance[turn]
-        for i in np.argsort(length, kind="stable").tolist():
+        for i in length.argsort(kind="stable").tolist():
             vertex = int(turns.vertex[turn[i]])
-            if self._pairs.sight.sees(vertex - 1, place.x, place.y):
+            if self._pairs.sight.sees(vertex - 1, place):
                 return float(length[i]), vertex
         return math.inf, 0
 
