@@ -81,8 +81,8 @@ class PairDistances:
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
         """Return distances from some corners, at most ``_at_once``, to all corners; up to so many are cached."""
-        rows, missing = self._rows, [corner for corner in corners if corner not in self._rows]
-        if missing:
+        rows = self._rows
+        if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:
                 rows, missing = {}, corners  # other threads may read the old rows
                 self.__dict__["_rows"] = rows

@@ -234,8 +234,8 @@ class VisibilityGraph:
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of the shortest path between points, pair by pair, whatever the goal.
 
-        Distances between corners are computed when needed. With at most 4,096 corners they are cached for all oracles
-        that :meth:`with_goal` makes of one another. With more, ask for many pairs in one call.
+        Distances between corners are computed when needed. Up to 16 million of them are cached for all oracles that
+        :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one call.
 
         Args:
             x: Points, ``(n, 2)``.
