@@ -12,7 +12,6 @@ import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -363,7 +362,8 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     """Make vertices within the tolerance of one another equal, in all geometries at once; no vertex is dropped."""
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
-    i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
+    places: Any = shapely.points(points)
+    i, j = shapely.STRtree(places).query(places, predicate="dwithin", distance=tolerance)
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))

@@ -5,6 +5,7 @@ sees. So its length is the minimum over both lists of corners of two straight se
 corners.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,12 +17,14 @@ from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import Distances
 from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
 from plr_jax.geometry.graph import Graph
+from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
-_DISTANCES = 1 << 24  # distances between corners in memory at a time; up to so many, all are cached
+_DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
+_LANDMARKS = 24  # on den520d, fewer leave more corners to try, and more cost more than they save
 _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
@@ -57,23 +60,34 @@ class PairDistances:
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
-    def _graph(self) -> Graph:
-        return Graph(self.visibility.corners.points, self.visibility.edges)
+    def locator(self) -> PointLocator:
+        return PointLocator(self.workspace.triangulation)
 
     @cached_property
-    def _distance_cache(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
-        """A table of distances between corners, and flags that say which of its rows are known."""
-        return np.zeros(len(self._graph.vertices), bool), np.empty(2 * (len(self._graph.vertices),))
+    def sight(self) -> CornerSight:
+        return CornerSight(self.visibility)
 
-    def _corner_distances(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
-        """Return distances from some corners to all corners; cached if a table of all distances is small enough."""
-        if len(self._graph.vertices) > self._at_once:
-            return csgraph.dijkstra(self._graph.adjacency, indices=corners)
-        is_known, table = self._distance_cache
-        missing = corners[~is_known[corners]]
-        table[missing] = csgraph.dijkstra(self._graph.adjacency, indices=missing)
-        is_known[missing] = True
-        return table[corners]
+    @cached_property
+    def _graph(self) -> Graph:
+        """The graph of corners, with only the edges that a shortest path can pass in full: tangent at both ends."""
+        corners, edges = self.visibility.corners, self.visibility.edges
+        start, end = edges.T
+        return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
+
+    @cached_property
+    def _rows(self) -> dict[int, Float[np.ndarray, "corners"]]:
+        """Known distances from single corners to all corners."""
+        return {}
+
+    def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
+        """Return distances from some corners, at most ``_at_once``, to all corners; up to so many are cached."""
+        rows = self._rows
+        if missing := [corner for corner in corners if corner not in rows]:
+            if len(rows) + len(missing) > self._at_once:
+                rows, missing = {}, corners  # other threads may read the old rows
+                self.__dict__["_rows"] = rows
+            rows.update(zip(missing, csgraph.dijkstra(self._graph.adjacency, indices=missing), strict=True))
+        return [rows[corner] for corner in corners]
 
     @property
     def _at_once(self) -> int:
@@ -93,6 +107,14 @@ class PairDistances:
         """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
+        if len(x) > FEW:
+            return self._distances(x, y)
+        distance = np.array([self._distance(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)], float)
+        if len(rest := np.flatnonzero(np.isnan(distance))):
+            distance[rest] = self._distances(x[rest], y[rest])
+        return distance
+
+    def _distances(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
@@ -106,6 +128,66 @@ class PairDistances:
             pairs = hidden[part]
             distance[pairs] = self._by_corners(x[pairs], y[pairs])
         return distance
+
+    def _distance(self, x: list[float], y: list[float]) -> float:
+        """Return the distance of one pair, to the bit as :meth:`_distances` does; NaN if a point has no place."""
+        if y < x:
+            x, y = y, x
+        start, end = self.locator.place(*x), self.locator.place(*y)
+        if start is None or end is None:
+            return math.nan
+        is_visible = self.locator.is_free_segment(start, end)
+        if is_visible is None:
+            is_visible = self.workspace.is_visible(np.array([x]), np.array([y]))[0]
+        dx, dy = x[0] - y[0], x[1] - y[1]
+        return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
+
+    def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
+        """Return the length of the shortest path with turns; the ends are points and their places.
+
+        The search tries first corners in ascending order of their lower bounds. The bound of the way from a corner to
+        ``y`` is a difference of their distances to a landmark, as in Goldberg and Harrelson, "Computing the shortest
+        path: A* search meets graph theory" (2005).
+        """
+        (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
+        if not len(first) or not len(last):
+            return math.inf
+        # 1. Bound the length of the way through each first corner, whether or not last corners see y.
+        of_first, of_last, legs = self._landmarks[first], self._landmarks[last], to_last[:, None]
+        with np.errstate(invalid="ignore"):  # a landmark and both corners may be infinitely far from one another
+            nearer, farther = of_first - (of_last - legs).max(axis=0), (of_last + legs).min(axis=0) - of_first
+        onward = np.fmax.reduce(np.fmax(nearer, farther), axis=1, initial=0.0)
+        bound = to_first + onward - self._rounding
+        # 2. Compute lengths until no bound is below the least one.
+        shortest, may_turn = math.inf, self.sight.may_turn
+        for i in bound.argsort().tolist():
+            if bound[i] >= shortest:
+                break
+            if may_turn(corner := int(first[i]), start):
+                onward = self._corner_distances([corner])[0][last] + to_last
+                least = next((onward[k] for k in onward.argsort().tolist() if may_turn(int(last[k]), end)), math.inf)
+                shortest = min(shortest, float(to_first[i] + least))
+        return shortest
+
+    def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
+        """Return the corners at which paths from the triangles of a point may turn, and their distances from it."""
+        corner = place.take(*self._regions)
+        dx, dy = (self.visibility.corners.points[corner] - x).T
+        return corner, np.sqrt(dx * dx + dy * dy)
+
+    @cached_property
+    def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
+        """Distances of all corners from a few corners that are far from one another."""
+        num = len(self._graph.vertices)
+        nearest, rows = np.full(num, np.inf), []
+        for _ in range(min(num, _LANDMARKS)):
+            rows += self._corner_distances([int(nearest.argmax())])
+            nearest = np.minimum(nearest, rows[-1])
+        return np.stack(rows, axis=1)
+
+    @cached_property
+    def _rounding(self) -> float:
+        return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
     def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
         """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
@@ -124,7 +206,7 @@ class PairDistances:
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
-            between = self._corner_distances(corners[begin : begin + at_once])
+            between = np.stack(self._corner_distances(corners[begin : begin + at_once].tolist()))
             of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))
             counts = np.diff(at_y.first)[at_x.point[of_these]]
             for part in parts(counts, _WAYS):

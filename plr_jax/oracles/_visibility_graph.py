@@ -1,5 +1,6 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -25,6 +26,7 @@ from plr_jax.geometry.corners import (
     views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
+from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -156,6 +158,10 @@ class VisibilityGraph:
         return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
     @cached_property
+    def _goal_sight(self) -> PointSight:
+        return PointSight(self._goal_table)
+
+    @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, as numbered in ``graph``: shortest paths go straight to one of them first."""
         points = self._corners.corners.with_goal(self.goal).points
@@ -228,8 +234,8 @@ class VisibilityGraph:
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of the shortest path between points, pair by pair, whatever the goal.
 
-        Distances between corners are computed when needed. With at most 4,096 corners they are cached for all oracles
-        that :meth:`with_goal` makes of one another. With more, ask for many pairs in one call.
+        Distances between corners are computed when needed. Up to 16 million of them are cached for all oracles that
+        :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one call.
 
         Args:
             x: Points, ``(n, 2)``.
@@ -286,6 +292,33 @@ class VisibilityGraph:
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
+        if len(x) > FEW:
+            return self._first_turns_of_batch(x)
+        distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
+        for i, (x0, x1) in enumerate(x.tolist()):
+            if (place := self._pairs.locator.place(x0, x1)) is not None:
+                distance[i], turn[i] = self._first_turn(x0, x1, place)
+        if len(rest := np.flatnonzero(turn < 0)):
+            distance[rest], turn[rest] = self._first_turns_of_batch(x[rest])
+        return distance, turn
+
+    def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
+        """Return one point's distance and first graph vertex, to the bit as :meth:`_first_turns_of_batch` does."""
+        if self._goal_sight.sees(0, place):
+            goal_x, goal_y = self.goal.tolist()
+            dx, dy = x - goal_x, y - goal_y
+            return math.sqrt(dx * dx + dy * dy), 0
+        turns = self._turns
+        turn = place.take(self.regions.first, self.regions.turn)
+        dx, dy = (turns.points[turn] - (x, y)).T
+        length = np.sqrt(dx * dx + dy * dy) + turns.distance[turn]
+        for i in length.argsort(kind="stable").tolist():
+            vertex = int(turns.vertex[turn[i]])
+            if self._pairs.sight.sees(vertex - 1, place):
+                return float(length[i]), vertex
+        return math.inf, 0
+
+    def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self._corners.table.sees

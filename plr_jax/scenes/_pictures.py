@@ -18,10 +18,11 @@ from plr_jax._files import errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.spaces import RasterCost
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+    from plr_jax.spaces import RasterCost
 
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 YAML_ENDINGS = (".yaml", ".yml")
@@ -242,7 +243,7 @@ def read_cost_map(
     cost_travel_multiplier: float | int = 2.0,
     unknown_is_free: bool = False,
     interpolation: str = "bilinear",
-) -> RasterCost:
+) -> "RasterCost":
     """Read a map of ROS's ``map_server``, or a TIFF of cost factors, as a cost map in the frame of the map.
 
     Pixels of a ``.yaml`` map, in meters and without rotation, become values of an occupancy grid, by mode:
@@ -274,6 +275,8 @@ def read_cost_map(
             if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
                 raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
             return _read_factors(path, interpolation)
+        from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
+
         map_server = _MapServer.read(path)
         x, y, yaw = map_server.origin
         if yaw != 0:
@@ -292,7 +295,7 @@ def read_cost_map(
         )
 
 
-def _read_factors(path: Path, interpolation: str) -> RasterCost:
+def _read_factors(path: Path, interpolation: str) -> "RasterCost":
     with open_picture(path, floats=True) as picture:
         if picture.mode != "F":
             raise ValueError(
@@ -322,6 +325,8 @@ def _read_factors(path: Path, interpolation: str) -> RasterCost:
     lo = x - column * along_x, y - (rows - row) * along_y
     require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
     hi = lo[0] + columns * along_x, lo[1] + rows * along_y
+    from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
+
     return RasterCost(factors.astype(np.float64), (lo, hi), interpolation)
 
 

@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from exact_plane import ExactPlane
 from hypothesis import given
 from hypothesis import strategies as st
 from oracle_helpers import WALL
@@ -46,6 +47,32 @@ def test_batches_of_any_size_give_the_same_answers(monkeypatch, most):
     oracle = VisibilityGraph(MAZE, x[0])
     np.testing.assert_array_equal(oracle.between(x, y), whole)
     np.testing.assert_array_equal([oracle.between(a[None], b[None])[0] for a, b in zip(x, y, strict=True)], whole)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(st.integers(0, 100_000), st.booleans())
+def test_single_pairs_have_the_distances_of_batches(kind, seed, squeeze):
+    """Through corners, from walls, along walls, from outside and from nowhere; all to the bit, either way round."""
+    workspace = kind(np.random.default_rng(seed), squeeze)
+    rng = np.random.default_rng(seed)
+    x = np.concatenate([hard_points(workspace, seed), rng.uniform(-1, 11, (10, 2)), [[np.nan, 1], [1, np.inf]]])
+    x, y = rng.permutation(x)[:60], rng.permutation(x)[:60]
+    oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
+    singly = [oracle.between(b[None], a[None])[0] for a, b in zip(x, y, strict=True)]
+    np.testing.assert_array_equal(oracle.between(x, y), singly)
+    np.testing.assert_array_equal(oracle.between(x[:5], y[:5]), singly[:5])
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+def test_single_pairs_are_as_far_apart_as_in_exact_arithmetic(kind):
+    workspace = kind(np.random.default_rng(4))
+    x = np.random.default_rng(4).permutation(hard_points(workspace, 4))[:12]
+    oracle, plane = VisibilityGraph(workspace, x[0]), ExactPlane(workspace.boundary.segments)
+    for a in x[:3]:
+        found = [oracle.between(a[None], b[None])[0] for b in x]
+        on_grid = workspace.triangulation.place(np.vstack([a, x])).x
+        np.testing.assert_allclose(found, plane.distances(on_grid[0], on_grid[1:]), atol=1e-7)
 
 
 def test_what_is_found_is_shared_by_all_goals_and_left_out_of_pickles():

@@ -13,7 +13,7 @@ import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
 from oracle_helpers import WALL, length
-from piece_helpers import TEN, box, general_workspace
+from piece_helpers import TEN, WORKSPACES, box, general_workspace, hard_points
 
 from plr_jax import VisibilityGraph, Workspace, scenes
 
@@ -256,8 +256,26 @@ def test_batches_of_any_size_give_the_same_answers():
         np.random.default_rng(0).uniform(-1, 11, (5000, 2)),
     )
     whole = oracle(x)
-    np.testing.assert_array_equal(whole, np.concatenate([oracle(part) for part in np.array_split(x, 97)]))
+    for num_parts in (97, 2000):
+        parts = np.array_split(x, num_parts)
+        np.testing.assert_array_equal(whole, np.concatenate([oracle(part) for part in parts]))
     assert not np.isfinite(whole[~workspace.is_free(x)]).any() and oracle(np.empty((0, 2))).shape == (0,)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(SEEDS, st.booleans())
+def test_single_points_have_the_distances_of_batches(kind, seed, squeeze):
+    """On walls, sides of triangles and vertices, beside them, outside and nowhere; all to the bit."""
+    workspace = kind(np.random.default_rng(seed), squeeze)
+    rng = np.random.default_rng(seed)
+    x = np.concatenate([hard_points(workspace, seed), rng.uniform(-1, 11, (10, 2)), [[np.nan, 1], [1, np.inf]]])
+    oracle, x = VisibilityGraph(workspace, hard_points(workspace, seed + 1)[0]), rng.permutation(x)
+    whole = oracle(x)
+    np.testing.assert_array_equal([oracle(point[None])[0] for point in x[:60]], whole[:60])
+    np.testing.assert_array_equal(np.concatenate([oracle(part) for part in np.array_split(x, 50)]), whole)
+    places = [oracle._pairs.locator.place(*point) for point in workspace.sample_free(20, seed).tolist()]
+    assert None not in places  # so the comparison is with single points
 
 
 def test_directions_are_those_of_the_shortest_path_and_of_the_gradient():
