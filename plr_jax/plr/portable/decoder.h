@@ -1,0 +1,537 @@
+/* A decoder of distance functions that plr_jax writes as compact bytes (plr_jax/plr/portable/compact.py).
+
+   plr_jax_open: checks bytes, such as those of a file that was received, before the first query.
+   plr_jax_distance, plr_jax_waypoint: answers at a point. For domains far from the origin, whose points are
+   doubles, they have the suffix _far.
+
+   The decoder allocates nothing, keeps no state, and calls only memcpy and sqrtf. Bytes that plr_jax_open accepts are
+   never read beyond their end, whatever they hold. Points need at most PLR_JAX_MAX_DIM coordinates.
+
+   Answers equal those of plr.numpy() bit for bit if no operations are fused: compile with -ffp-contract=off. */
+#ifndef PLR_JAX_DECODER_H
+#define PLR_JAX_DECODER_H
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
+#error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+#ifndef PLR_JAX_MAX_DIM
+#define PLR_JAX_MAX_DIM 6
+#endif
+#define PLR_JAX_MAX_TERMS (PLR_JAX_MAX_DIM < 64 ? 64 : PLR_JAX_MAX_DIM + 1)
+
+/* A distance function: its bytes, which stay with the caller, in flash or in memory. */
+struct plr_jax {
+    const unsigned char *bytes;
+    uint32_t size;
+};
+
+/* Results of plr_jax_open. */
+enum {
+    PLR_JAX_OK = 0,
+    PLR_JAX_NO_PLR = 1,    /* not bytes that this decoder reads */
+    PLR_JAX_BAD_SIZE = 2,  /* cut off, or with bytes after the end */
+    PLR_JAX_DAMAGED = 3,   /* the checksum differs */
+    PLR_JAX_TOO_LARGE = 4  /* more coordinates than PLR_JAX_MAX_DIM, or an inconsistent header */
+};
+
+/* The 32-bit words at the start; from PLR_JAX_W_ODD to PLR_JAX_W_EXACT they are positions of parts, in bits. */
+enum {
+    PLR_JAX_W_MAGIC,
+    PLR_JAX_W_SIZE,
+    PLR_JAX_W_KIND,   /* a byte each: axes, leaf model, flags, levels of the tree */
+    PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, fraction bits of values, bits of a leaf's number */
+    PLR_JAX_W_TERMS,  /* numbers of a leaf */
+    PLR_JAX_W_NUM_ODD,
+    PLR_JAX_W_OFFSET,
+    PLR_JAX_W_STEP,
+    PLR_JAX_W_ODD,
+    PLR_JAX_W_TREE,
+    PLR_JAX_W_AXES,
+    PLR_JAX_W_LEVELS,
+    PLR_JAX_W_MARKS,
+    PLR_JAX_W_ROWS,
+    PLR_JAX_W_FOLD,
+    PLR_JAX_W_EXACT,
+    PLR_JAX_NUM_WORDS
+};
+enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
+enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8 };
+/* The floats of an axis, after the words. */
+enum {
+    PLR_JAX_LEAST,
+    PLR_JAX_MOST,
+    PLR_JAX_LO,
+    PLR_JAX_SCALE,
+    PLR_JAX_START,
+    PLR_JAX_TOP,
+    PLR_JAX_FIRST,
+    PLR_JAX_LAST,
+    PLR_JAX_TOLERANCE,
+    PLR_JAX_NUM_FLOATS
+};
+/* The doubles of an axis, for planes and in domains far from the origin. */
+enum { PLR_JAX_LEAF_LO, PLR_JAX_LEAF_HI, PLR_JAX_CORNER, PLR_JAX_DOMAIN_LO, PLR_JAX_DOMAIN_HI, PLR_JAX_NUM_DOUBLES };
+
+/* Up to 32 bits from a position, the lowest first; 0 beyond the end. The checksum pads the last part. */
+static inline uint32_t plr_jax_bits(const struct plr_jax *f, uint32_t at, uint32_t width)
+{
+    const uint32_t shift = at & 7u;
+    const unsigned char *b;
+    uint32_t value;
+    if ((at >> 3) + 5u > f->size) {
+        return 0;
+    }
+    b = f->bytes + (at >> 3);
+    value = ((uint32_t)b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24) >> shift;
+    value |= ((uint32_t)b[4] << 24) << (8u - shift);
+    return width < 32u ? value & ((1u << width) - 1u) : value;
+}
+
+static inline int32_t plr_jax_signed(const struct plr_jax *f, uint32_t at, uint32_t width)
+{
+    const uint32_t sign = 1u << ((width - 1u) & 31u);
+    return width ? (int32_t)((plr_jax_bits(f, at, width) ^ sign) - sign) : 0;
+}
+
+static inline uint32_t plr_jax_word(const struct plr_jax *f, uint32_t index)
+{
+    return plr_jax_bits(f, 32u * index, 32);
+}
+
+static inline float plr_jax_float(const struct plr_jax *f, uint32_t at)
+{
+    const uint32_t bits = plr_jax_bits(f, at, 32);
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static inline float plr_jax_frame(const struct plr_jax *f, uint32_t axis, uint32_t index)
+{
+    return plr_jax_float(f, 32u * (PLR_JAX_NUM_WORDS + PLR_JAX_NUM_FLOATS * axis + index));
+}
+
+static inline double plr_jax_exact(const struct plr_jax *f, uint32_t axis, uint32_t index)
+{
+    const uint32_t at = plr_jax_word(f, PLR_JAX_W_EXACT) + 64u * (PLR_JAX_NUM_DOUBLES * axis + index);
+    const uint64_t bits = (uint64_t)plr_jax_bits(f, at + 32u, 32) << 32 | plr_jax_bits(f, at, 32);
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static inline uint32_t plr_jax_ones(uint32_t v)
+{
+    v -= v >> 1 & 0x55555555u;
+    v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
+    v = (v + (v >> 4)) & 0x0f0f0f0fu;
+    return v * 0x01010101u >> 24;
+}
+
+/* Sums the weights of all digits before one. Bits have weights 0 and 1, pairs of bits 0, 1, 2 and 4. A record of 96
+   bits holds the sum before it and 64 bits of digits. */
+static inline uint32_t plr_jax_rank(const struct plr_jax *f, uint32_t at, uint32_t bit, uint32_t is_pair)
+{
+    uint32_t rest = bit & 63u, sum, word, high;
+    at += (bit >> 6) * 96u;
+    sum = plr_jax_bits(f, at, 32);
+    do {
+        at += 32u;
+        word = plr_jax_bits(f, at, rest < 32u ? rest : 32u);
+        high = is_pair ? word >> 1 & 0x55555555u : 0u;
+        sum += plr_jax_ones(word) + plr_jax_ones(high) + plr_jax_ones(word & high);
+        rest -= 32u;
+    } while (rest < 32u);
+    return sum;
+}
+
+static inline float plr_jax_clamp(float x, float lo, float hi)
+{
+    return x < lo ? lo : x > hi ? hi : x;
+}
+
+/* Moves a coordinate around a periodic axis to between its ends; the upper end becomes the lower one. */
+static inline float plr_jax_wrap(float x, float lo, float hi, float scale, float tolerance)
+{
+    float turns = (x - lo) * scale, moved;
+    if (turns < 8388608.0f && turns > -8388608.0f) {
+        const float toward_zero = (float)(int32_t)turns;
+        turns = toward_zero > turns ? toward_zero - 1.0f : toward_zero;
+    }
+    moved = plr_jax_clamp(x - turns * (hi - lo), lo, hi);
+    return x - hi <= tolerance && x - hi >= -tolerance ? lo : moved;
+}
+
+/* Mirrors a point into the part of the domain that is stored. */
+static inline void plr_jax_fold(const struct plr_jax *f, float *x, uint32_t dim, uint32_t flags)
+{
+    uint32_t at = plr_jax_word(f, PLR_JAX_W_FOLD), axis, other, count;
+    for (axis = 0; axis < dim; ++axis, at += 64u) {
+        x[axis] = x[axis] - plr_jax_float(f, at) - plr_jax_float(f, at + 32u);
+    }
+    if (flags & PLR_JAX_TURNED) {
+        float z[PLR_JAX_MAX_DIM];
+        memcpy(z, x, dim * sizeof *x);
+        for (axis = 0; axis < dim; ++axis) {
+            for (other = 0; other < dim; ++other, at += 32u) {
+                const float term = plr_jax_float(f, at) * z[other];
+                x[axis] = other ? x[axis] + term : term;
+            }
+        }
+    }
+    count = plr_jax_bits(f, at, 8);
+    for (at += 8u; count; --count) {
+        const uint32_t pivot = plr_jax_bits(f, at, 8);
+        const int is_behind = pivot < dim && x[pivot] < 0.0f;
+        at += 8u;
+        for (axis = 0; axis < dim; ++axis, ++at) {
+            if (is_behind && plr_jax_bits(f, at, 1)) {
+                x[axis] = -x[axis];
+            }
+        }
+    }
+    for (axis = 0; axis < dim; ++axis, at += 64u) {
+        x[axis] = plr_jax_clamp(x[axis], plr_jax_float(f, at), plr_jax_float(f, at + 32u));
+    }
+}
+
+/* Replaces the corner values of a cell by those of one half. A value is the mean of the ends of the edge that the
+   split halves, or the mean rounded to a whole number of steps plus a stored one. */
+static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint32_t dim, uint32_t axis, uint32_t upper,
+                                 uint32_t split, uint32_t at_level, uint32_t fraction)
+{
+    const uint32_t size = 1u << dim, across = size >> (axis + 1u), marks = plr_jax_word(f, PLR_JAX_W_MARKS);
+    const uint32_t width = plr_jax_bits(f, at_level + 32u, 8), half = (1u << fraction) >> 1;
+    uint32_t digit = split << (dim - 1u), i;
+    uint32_t at = plr_jax_bits(f, at_level, 32) + width * plr_jax_rank(f, marks, 2u * digit, 1);
+    for (i = 0; i < size; ++i) {
+        const int32_t a = corner[i], b = corner[(i | across) & 63u];
+        int32_t middle = (a & b) + ((a ^ b) >> 1);
+        uint32_t mark, wide;
+        if (i & across) {
+            continue;
+        }
+        mark = plr_jax_bits(f, marks + 96u * (digit >> 5) + 32u + 2u * (digit & 31u), 2);
+        wide = mark > 1u ? 2u * width : width;
+        if (mark) {
+            const int32_t more = plr_jax_signed(f, at + (mark == 3u && upper ? wide : 0u), wide);
+            if (mark < 3u || (uint32_t)more << ((32u - wide) & 31u) != 0x80000000u) {
+                const int32_t rounded = (int32_t)((uint32_t)middle + half) >> fraction;
+                middle = (int32_t)(((uint32_t)rounded + (uint32_t)more) << fraction);
+            }
+            at += mark == 3u ? 2u * wide : wide;
+        }
+        corner[upper ? i : i | across] = middle;
+        ++digit;
+    }
+}
+
+/* Turns a point, relative to the lower corner of a far domain, into offsets from the corner of the stored part, and
+   finds its leaf: per axis the number of halvings and the position of its cell, and its numbers. Returns 0 for
+   points outside. */
+static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n)
+{
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
+    const uint32_t flags = kind >> 16 & 255u, widths = plr_jax_word(f, PLR_JAX_W_WIDTHS);
+    const uint32_t axis_bits = widths & 255u, fraction = widths >> 8 & 31u, index_bits = widths >> 16 & 255u;
+    const uint32_t terms = plr_jax_word(f, PLR_JAX_W_TERMS), tree = plr_jax_word(f, PLR_JAX_W_TREE);
+    const uint32_t has_values = model == PLR_JAX_CONTINUOUS && flags & PLR_JAX_CODED, stride = 40u + 8u * dim;
+    uint32_t place[PLR_JAX_MAX_DIM], axis, i, node = 0, leaf, row, first = 0, last, at_level;
+    uint32_t levels = kind >> 24, at, width;
+    int32_t corner[64];
+
+    /* 1. Place. */
+    for (axis = 0; axis < dim; ++axis) {
+        if (!(x[axis] >= plr_jax_frame(f, axis, PLR_JAX_LEAST) && x[axis] <= plr_jax_frame(f, axis, PLR_JAX_MOST))) {
+            return 0;
+        }
+    }
+    if (flags & PLR_JAX_FOLDED) {
+        plr_jax_fold(f, x, dim, flags);
+    }
+    for (axis = 0; axis < dim; ++axis) {
+        const float lo = plr_jax_frame(f, axis, PLR_JAX_FIRST), hi = plr_jax_frame(f, axis, PLR_JAX_LAST);
+        const float scale = plr_jax_frame(f, axis, PLR_JAX_SCALE), top = plr_jax_frame(f, axis, PLR_JAX_TOP);
+        float share;
+        if (hi > lo) {
+            x[axis] = plr_jax_wrap(x[axis], lo, hi, scale, plr_jax_frame(f, axis, PLR_JAX_TOLERANCE));
+        }
+        x[axis] = x[axis] - plr_jax_frame(f, axis, PLR_JAX_LO);
+        share = x[axis] * scale;
+        share = (share < top ? share : top) + plr_jax_frame(f, axis, PLR_JAX_START);
+        share = share < 1.0f ? 1.0f : share;
+        memcpy(&place[axis], &share, sizeof share);
+        place[axis] <<= 9; /* the mantissa is the position along the axis */
+        cell[axis][0] = cell[axis][1] = 0;
+    }
+
+    /* 2. Descend. */
+    for (i = 0; has_values && i < 1u << dim; ++i) {
+        corner[i] = plr_jax_signed(f, plr_jax_word(f, PLR_JAX_W_MARKS) - (32u << dim) + 32u * i, 32);
+    }
+    for (at_level = plr_jax_word(f, PLR_JAX_W_LEVELS);; at_level += stride) {
+        const uint32_t split = plr_jax_rank(f, tree, node, 0);
+        uint32_t upper;
+        leaf = node - split;
+        axis = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_AXES) + axis_bits * split, axis_bits);
+        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || !levels-- || axis >= dim
+            || cell[axis][0] == 23u) {
+            break;
+        }
+        upper = place[axis] >> 31;
+        place[axis] <<= 1;
+        ++cell[axis][0];
+        cell[axis][1] = 2u * cell[axis][1] + upper;
+        if (has_values) {
+            plr_jax_halve(f, corner, dim, axis, upper, split, at_level, fraction);
+        }
+        node = 2u * split + 1u + upper;
+    }
+
+    /* 3. Numbers that are stored as floats: of all leaves, or of the odd ones, whose numbers are no codes. */
+    at = plr_jax_bits(f, at_level, 32);
+    width = plr_jax_bits(f, at_level + 32u, 8);
+    if (flags & PLR_JAX_CODED) {
+        const uint32_t odd = plr_jax_word(f, PLR_JAX_W_ODD), num_odd = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
+        for (last = num_odd; first < last;) {
+            const uint32_t middle = first + ((last - first) >> 1);
+            if (plr_jax_bits(f, odd + index_bits * middle, index_bits) < leaf) {
+                first = middle + 1u;
+            } else {
+                last = middle;
+            }
+        }
+        row = first;
+        first = row < num_odd && plr_jax_bits(f, odd + index_bits * row, index_bits) == leaf;
+    } else {
+        row = plr_jax_bits(f, at + width * leaf, width);
+        first = 1;
+    }
+    if (first) {
+        for (i = 0; i < terms; ++i) {
+            n[i] = plr_jax_float(f, plr_jax_word(f, PLR_JAX_W_ROWS) + 32u * (row * terms + i));
+        }
+        return 1;
+    }
+
+    /* 4. Coefficients of the products of coordinates, from corner values. */
+    const float step = plr_jax_float(f, 32u * PLR_JAX_W_STEP);
+    const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
+    if (has_values) {
+        for (width = 1u; width < terms; width *= 2u) {
+            for (i = 0; i < terms; ++i) {
+                if (i & width) {
+                    corner[i] = (int32_t)((uint32_t)corner[i] - (uint32_t)corner[i - width]);
+                }
+            }
+        }
+        for (i = 0; i < terms; ++i) {
+            n[i] = step * (float)corner[i];
+        }
+        n[0] = (float)(offset + (double)step * (double)corner[0]);
+        return 1;
+    }
+
+    /* 5. Value at the corner of the domain and slopes, from the value at the center and the rise along each axis. */
+    for (axis = 0, i = 0; axis <= dim; ++axis) {
+        i += plr_jax_bits(f, at_level + 32u + 8u * axis, 8);
+    }
+    at += i * leaf;
+    {
+        const double center = offset + (double)step * (double)plr_jax_bits(f, at, width);
+        double sum = 0.0;
+        for (axis = 0; axis < dim; ++axis) {
+            const double lo = plr_jax_exact(f, axis, PLR_JAX_LEAF_LO), hi = plr_jax_exact(f, axis, PLR_JAX_LEAF_HI);
+            const double size = 1.0 / (double)(1u << cell[axis][0]), to = (double)(cell[axis][1] + 1u) * size;
+            const double l = lo + (hi - lo) * ((double)cell[axis][1] * size);
+            const double h = to < 1.0 ? lo + (hi - lo) * to : hi;
+            double slope;
+            at += width;
+            width = plr_jax_bits(f, at_level + 40u + 8u * axis, 8);
+            slope = (double)step * (double)plr_jax_signed(f, at, width) * 2.0 / (h - l);
+            n[1u + axis] = (float)slope;
+            slope = slope * ((l + h) / 2.0 - plr_jax_exact(f, axis, PLR_JAX_CORNER));
+            sum = axis ? sum + slope : slope;
+        }
+        n[0] = (float)(center - sum);
+    }
+    return 1;
+}
+
+/* The value at a point that was not found to be outside, from the results of plr_jax_leaf. */
+static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint32_t (*cell)[2], float *n)
+{
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
+    const uint32_t powers = model == PLR_JAX_SMOOTH ? 4u : 2u;
+    uint32_t axis, i, k, count = plr_jax_word(f, PLR_JAX_W_TERMS);
+    float sum = 0.0f;
+    if (model == PLR_JAX_CONE) {
+        for (axis = 0; axis < dim; ++axis) {
+            const float d = x[axis] - n[1u + axis];
+            sum = axis ? sum + d * d : d * d;
+        }
+        return n[0] + sqrtf(sum);
+    }
+    if (model == PLR_JAX_PLANE) {
+        for (sum = n[0], axis = 0; axis < dim; ++axis) {
+            sum = sum + n[1u + axis] * x[axis];
+        }
+        return sum;
+    }
+    for (axis = dim; axis--;) { /* Horner's rule, the last axis first */
+        const float start = plr_jax_frame(f, axis, PLR_JAX_START);
+        float t = x[axis] * plr_jax_frame(f, axis, PLR_JAX_SCALE);
+        t = start < 1.0f ? t + (start - 1.0f) : t;
+        t = t * (float)(1u << cell[axis][0]) - (float)cell[axis][1];
+        count /= powers;
+        for (i = 0; i < count; ++i) {
+            sum = n[powers * i + powers - 1u];
+            for (k = powers - 1u; k--;) {
+                sum = sum * t + n[powers * i + k];
+            }
+            n[i] = sum;
+        }
+    }
+    return n[0];
+}
+
+/* Checks the bytes of a distance function and points to them; returns PLR_JAX_OK or what is wrong with them. */
+static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, uint32_t size)
+{
+    uint32_t crc = 0xffffffffu, i, k, kind, dim, model, terms;
+    f->bytes = bytes;
+    f->size = size;
+    if (plr_jax_word(f, PLR_JAX_W_MAGIC) != 0x31434c50u) {
+        return PLR_JAX_NO_PLR;
+    }
+    if (plr_jax_word(f, PLR_JAX_W_SIZE) != size || size < 4u * PLR_JAX_NUM_WORDS + 5u || size >> 29) {
+        return PLR_JAX_BAD_SIZE;
+    }
+    for (i = 0; i < size - 4u; ++i) {
+        crc ^= bytes[i];
+        for (k = 0; k < 8u; ++k) {
+            crc = crc >> 1 ^ (crc & 1u ? 0xedb88320u : 0u);
+        }
+    }
+    for (i = 0; i < 4u; ++i) {
+        if (bytes[size - 4u + i] != (~crc >> 8u * i & 255u)) {
+            return PLR_JAX_DAMAGED;
+        }
+    }
+    kind = plr_jax_word(f, PLR_JAX_W_KIND);
+    dim = kind & 255u;
+    model = kind >> 8 & 255u;
+    terms = plr_jax_word(f, PLR_JAX_W_TERMS);
+    i = model == PLR_JAX_PLANE || model == PLR_JAX_CONE ? 1u + dim : 1u << (model * dim & 31u);
+    return !dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
+                   || (model % 3u && dim > 6u)
+               ? PLR_JAX_TOO_LARGE
+               : PLR_JAX_OK;
+}
+
+/* The number of coordinates of a point. */
+static inline uint32_t plr_jax_dim(const struct plr_jax *f)
+{
+    return plr_jax_word(f, PLR_JAX_W_KIND) & 255u;
+}
+
+/* Whether the domain is far from the origin, so that points are doubles. */
+static inline int plr_jax_is_far(const struct plr_jax *f)
+{
+    return (int)(plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_FAR);
+}
+
+/* The distance to the goal; INFINITY outside the closed domain, NAN for NAN. */
+static inline float plr_jax_distance(const struct plr_jax *f, const float *x)
+{
+    const uint32_t dim = plr_jax_dim(f);
+    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
+    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
+    memcpy(z, x, dim * sizeof *x);
+    if (plr_jax_leaf(f, z, cell, n)) {
+        return plr_jax_value(f, z, cell, n);
+    }
+    for (axis = 0; axis < dim; ++axis) {
+        if (x[axis] != x[axis]) {
+            return NAN;
+        }
+    }
+    return INFINITY;
+}
+
+/* For cones: the next waypoint on the way to the goal; NAN outside the domain. */
+static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, float *waypoint)
+{
+    const uint32_t dim = plr_jax_dim(f);
+    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
+    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
+    int is_inside;
+    memcpy(z, x, dim * sizeof *x);
+    is_inside = plr_jax_leaf(f, z, cell, n);
+    for (axis = 0; axis < dim; ++axis) {
+        waypoint[axis] = is_inside ? plr_jax_frame(f, axis, PLR_JAX_LO) + n[1u + axis] : NAN;
+    }
+}
+
+/* Moves a point around periodic axes in 64 bits, and takes it relative to the lower corner of the domain. */
+static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, float *z, uint32_t dim)
+{
+    uint32_t axis;
+    for (axis = 0; axis < dim; ++axis) {
+        const double lo = plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO), hi = plr_jax_exact(f, axis, PLR_JAX_DOMAIN_HI);
+        double moved = x[axis];
+        if (plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST)) {
+            double turns = (moved - lo) * (1.0 / (hi - lo));
+            if (turns < 4503599627370496.0 && turns > -4503599627370496.0) {
+                const double toward_zero = (double)(int64_t)turns;
+                turns = toward_zero > turns ? toward_zero - 1.0 : toward_zero;
+            }
+            moved = moved - turns * (hi - lo);
+            moved = moved < lo || x[axis] - hi == 0.0 ? lo : moved > hi ? hi : moved;
+        }
+        z[axis] = (float)(moved - lo);
+    }
+}
+
+/* As plr_jax_distance, for domains far from the origin. */
+static inline float plr_jax_distance_far(const struct plr_jax *f, const double *x)
+{
+    const uint32_t dim = plr_jax_dim(f);
+    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
+    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
+    plr_jax_place_far(f, x, z, dim);
+    if (plr_jax_leaf(f, z, cell, n)) {
+        return plr_jax_value(f, z, cell, n);
+    }
+    for (axis = 0; axis < dim; ++axis) {
+        if (x[axis] != x[axis]) {
+            return NAN;
+        }
+    }
+    return INFINITY;
+}
+
+/* As plr_jax_waypoint, for domains far from the origin. */
+static inline void plr_jax_waypoint_far(const struct plr_jax *f, const double *x, double *waypoint)
+{
+    const uint32_t dim = plr_jax_dim(f);
+    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
+    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
+    int is_inside;
+    plr_jax_place_far(f, x, z, dim);
+    is_inside = plr_jax_leaf(f, z, cell, n);
+    for (axis = 0; axis < dim; ++axis) {
+        waypoint[axis] = is_inside ? plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO) + (double)n[1u + axis] : NAN;
+    }
+}
+
+#endif
