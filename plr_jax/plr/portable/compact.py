@@ -45,7 +45,7 @@ _RECORD = 64  # bits of digits in a record of a directory
 _FAR, _FOLDED, _TURNED, _CODED = 1, 2, 4, 8  # flags
 _UNITS = np.array([0, 1, 2, 4])  # units of the level's width that a middle takes, by its mark
 _FLOAT_BITS = 32  # planes of so many bits are floats
-_MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 30
+_MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
 
 
 def compact_bytes(program: Program) -> bytes:
@@ -97,7 +97,9 @@ class _Image:
         for axis, (lo, hi, _, tolerance) in program.periods.items():
             ends[:, axis] = lo, hi, tolerance
         rows = Frame.LO, Frame.SCALE, Frame.START, Frame.TOP
-        self._write_floats(np.stack([*program.limits, *(program.frame[row] for row in rows), *ends], axis=1))
+        largest = np.finfo(np.float32).max
+        limits = np.clip(program.limits, -largest, largest)
+        self._write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1))
         self.at_exact = self._at
         if program.corner is not None or program.leaf.name == "plane":
             box, origin = contents.domain, np.zeros(self.dim)
@@ -209,10 +211,11 @@ class _Middles:
 
     Attributes:
         corners: Values at the corners of each node, in units of ``2**-fraction_bits`` steps.
-        mark: For each split and middle, 0: both halves have the mean; 1 or 2: both have the same other value, of one
-            or two units; 3: each has a value of its own.
-        more: For each split, middle and half, the value minus the rounded mean, in steps.
-        is_mean: Whether a half of a middle of mark 3 has the mean.
+        mark: For each split and middle, 0: both halves have the mean of the ends; 1: both have another value, stored
+            as ``narrow``; 2: both have another value, stored as ``wide``; 3: each half has its ``wide``.
+        narrow: The value minus the rounded mean, in steps.
+        wide: For each half: twice the value minus the rounded mean, in steps; or 1 + twice the value minus the mean,
+            in units of ``2**-fraction_bits`` steps.
     """
 
     def __init__(self, tree: Tree, codes: Float[np.ndarray, "leaves corners"], fraction_bits: int) -> None:
@@ -230,7 +233,7 @@ class _Middles:
         self.corners = np.empty_like(leaf_at)
         self.corners[0] = wanted[0]
         self.mark = np.zeros((num_splits, len(each) // 2), np.int64)
-        self.more, self.is_mean = np.zeros((*self.mark.shape, 2), np.int64), np.zeros((*self.mark.shape, 2), bool)
+        self.narrow, self.wide = np.zeros_like(self.mark), np.zeros((*self.mark.shape, 2), np.int64)
         number = np.cumsum(tree.child >= 0) - 1
         for split in tree.splits:
             for axis, is_high in enumerate(bits.T == 1):
@@ -240,35 +243,37 @@ class _Middles:
                 rounded = (mean + ((1 << fraction_bits) >> 1)) >> fraction_bits
                 want = np.stack([wanted[halves][:, is_high], wanted[halves + 1][:, ~is_high]], axis=2)
                 free = np.stack([is_free[halves][:, is_high], is_free[halves + 1][:, ~is_high]], axis=2)
-                more = (want >> fraction_bits) - rounded[:, :, None]
-                is_mean = (want == mean[:, :, None]) | (want & ((1 << fraction_bits) - 1) != 0)
-                more = np.where(free, more[:, :, ::-1], more)
-                is_mean = np.where(free, is_mean[:, :, ::-1] | free.all(axis=2, keepdims=True), is_mean)
-                is_shared = ~is_mean.any(axis=2) & (more[:, :, 0] == more[:, :, 1])
-                here = number[nodes]
-                self.mark[here] = np.where(is_mean.all(axis=2), 0, np.where(is_shared, 1, 3))
-                self.more[here], self.is_mean[here] = more, is_mean
-                taken = np.where(is_mean, mean[:, :, None], (rounded[:, :, None] + more) << fraction_bits)
+                want = np.where(free, np.where(free[:, :, ::-1], mean[:, :, None], want[:, :, ::-1]), want)
+                from_mean = want - mean[:, :, None]
+                is_whole = (want & ((1 << fraction_bits) - 1) == 0) & (from_mean != 0)
+                here, from_whole = number[nodes], (want >> fraction_bits) - rounded[:, :, None]
+                self.narrow[here] = from_whole[:, :, 0]
+                self.wide[here] = 2 * np.where(is_whole, from_whole, from_mean) + ~is_whole
+                is_shared = want[:, :, 0] == want[:, :, 1]
+                self.mark[here] = np.where(is_shared, np.where(is_whole[:, :, 0], 1, 2), 3)
+                self.mark[here] *= from_mean.any(axis=2)
                 lower, upper = ends.copy(), ends.copy()
-                lower[:, is_high], upper[:, ~is_high] = taken[:, :, 0], taken[:, :, 1]
+                lower[:, is_high], upper[:, ~is_high] = want[:, :, 0], want[:, :, 1]
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self, level: Int[np.ndarray, "splits"], num_levels: int) -> Int[np.ndarray, "levels"]:
         """Choose the unit of each level for which its middles take the fewest bits, and set marks 1 and 2."""
-        bits = np.where(self.is_mean, 0, 1 + np.frexp(np.abs(self.more))[1]).max(axis=2)
+        narrow = 1 + np.frexp(np.abs(self.narrow))[1]
+        wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         widths = np.ones(num_levels, np.int64)
         for each in range(num_levels):
-            shared, pairs = (bits[level == each][self.mark[level == each] == kind] for kind in (1, 3))
-            least = -(-max(shared.max(initial=1), pairs.max(initial=1)) // 2)
-            sizes = {
-                width: width * (np.sum(1 + (shared > width)) + 4 * len(pairs)) for width in range(int(least), 17)
-            }
+            here = level == each
+            sizes = {}
+            for width in range(1, 17):
+                mark = self.mark[here] + ((self.mark[here] == 1) & (narrow[here] > width))
+                if wide[here][mark > 1].max(initial=0) <= 2 * width:
+                    sizes[width] = width * _UNITS[mark].sum()
             widths[each] = min(sizes, key=lambda width: sizes[width])
-        self.mark += (self.mark == 1) & (bits > widths[level][:, None])
+        self.mark += (self.mark == 1) & (narrow > widths[level][:, None])
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the stored integers and their widths; the least integer of mark 3 stands for the mean."""
+        """Return the stored integers and their widths."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
-        codes = np.where((self.mark[:, :, None] == 3) & self.is_mean, 1 << np.maximum(widths - 1, 0), self.more)
+        codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()

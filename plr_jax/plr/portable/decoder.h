@@ -204,8 +204,8 @@ static inline void plr_jax_fold(const struct plr_jax *f, float *x, uint32_t dim,
     }
 }
 
-/* Replaces the corner values of a cell by those of one half. A value is the mean of the ends of the edge that the
-   split halves, or the mean rounded to a whole number of steps plus a stored one. */
+/* Replaces the corner values of a cell by those of one half. In the middle of an edge that the split halves, the value
+   is the mean of the ends, plus a stored number, or the mean rounded to steps plus a stored number of steps. */
 static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint32_t dim, uint32_t axis, uint32_t upper,
                                  uint32_t split, uint32_t at_level, uint32_t fraction)
 {
@@ -223,11 +223,13 @@ static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint3
         mark = plr_jax_bits(f, marks + 96u * (digit >> 5) + 32u + 2u * (digit & 31u), 2);
         wide = mark > 1u ? 2u * width : width;
         if (mark) {
-            const int32_t more = plr_jax_signed(f, at + (mark == 3u && upper ? wide : 0u), wide);
-            if (mark < 3u || (uint32_t)more << ((32u - wide) & 31u) != 0x80000000u) {
-                const int32_t rounded = (int32_t)((uint32_t)middle + half) >> fraction;
-                middle = (int32_t)(((uint32_t)rounded + (uint32_t)more) << fraction);
+            int32_t more = plr_jax_signed(f, at + (mark == 3u && upper ? wide : 0u), wide);
+            const uint32_t is_fine = mark > 1u && more & 1;
+            more = mark > 1u ? more >> 1 : more;
+            if (!is_fine) {
+                middle = (int32_t)((uint32_t)middle + half) >> fraction;
             }
+            middle = (int32_t)(((uint32_t)middle + (uint32_t)more) << (is_fine ? 0u : fraction));
             at += mark == 3u ? 2u * wide : wide;
         }
         corner[upper ? i : i | across] = middle;
