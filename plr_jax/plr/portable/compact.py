@@ -79,7 +79,7 @@ class _Image:
         self.body = BitWriter()
         self._write_domain()
         self.at_tree = self._at
-        self._write_directory(is_split.astype(np.int64), 1, is_split)
+        self._write_directory(is_split.astype(np.int64), 1, is_split.astype(np.int64))
         self.at_axes, self.axis_bits = self._at, (self.dim - 1).bit_length()
         self.body.write(self.tree.axis[is_split], self.axis_bits)
 
