@@ -102,7 +102,8 @@ def section_bytes(compiled: Path) -> dict[str, int]:
     """Bytes of code and of data of an object file."""
     listed = subprocess.run(["size", "-A", str(compiled)], check=True, capture_output=True, text=True).stdout
     found = {
-        part: sum(map(int, re.findall(rf"^\.{part}\S*\s+(\d+)", listed, re.MULTILINE))) for part in ("text", "rodata", "data", "bss")
+        part: sum(map(int, re.findall(rf"^\.{part}\S*\s+(\d+)", listed, re.MULTILINE)))
+        for part in ("text", "rodata", "data", "bss")
     }
     return {"code": found.pop("text"), "data": sum(found.values())}
 

@@ -347,7 +347,9 @@ def read_in_c(tmp_path, compiler):
     """A function from byte strings to the lines that ``READER`` prints of them; memory errors end it."""
     (tmp_path / "reader.c").write_text(case("one leaf").c_header("here", compact=True) + READER)
     traps = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
-    subprocess.run([compiler, "-std=c99", *STRICT, *traps, "reader.c", "-o", "reader", "-lm"], cwd=tmp_path, check=True)
+    subprocess.run(
+        [compiler, "-std=c99", *STRICT, *traps, "reader.c", "-o", "reader", "-lm"], cwd=tmp_path, check=True
+    )
 
     def read(every):
         given = b"".join(len(data).to_bytes(4, "little") + data for data in every)

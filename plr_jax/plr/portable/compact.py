@@ -227,7 +227,9 @@ class _Middles:
         for split in reversed(tree.splits):
             leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, each]
         is_free = np.isinf(codes[:, 0])[leaf_at]
-        wanted = np.where(is_free, 0, np.rint(np.ldexp(np.where(np.isinf(codes), 0.0, codes), fraction_bits))[leaf_at, each])
+        wanted = np.where(
+            is_free, 0, np.rint(np.ldexp(np.where(np.isinf(codes), 0.0, codes), fraction_bits))[leaf_at, each]
+        )
         wanted = wanted.astype(np.int64)
         # 2. From the root down, halve the edges.
         self.corners = np.empty_like(leaf_at)

@@ -12,12 +12,16 @@
 #define PLR_JAX_DECODER_H
 
 #include <float.h>
+#include <limits.h>
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
 #error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"
+#endif
+#if INT_MAX < 2147483647 || DBL_MANT_DIG != 53
+#error "this decoder needs ints of 32 bits and doubles of 64 bits"
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
