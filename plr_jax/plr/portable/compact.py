@@ -3,7 +3,7 @@
 The bytes hold the numbers of the file in parts that can be read at any position: fields of equal width replace entropy
 codes, and combinations of many values are replaced by their results. All parts are sequences of bits, lowest first:
 
-    words         16 integers of 32 bits: kind, sizes, and positions of parts in bits (``PLR_JAX_W_MAGIC`` and on)
+    words         18 integers of 32 bits: kind, sizes, and positions of parts in bits (``PLR_JAX_W_MAGIC`` and on)
     frame         nine 32-bit floats for each axis: the domain and its constants (see ``FORMAT.md``)
     exact         five 64-bit floats for each axis: only for planes, and in domains far from the origin
     folding       center and its rounding error; axes if turned; mirrors; corners of the folded box
@@ -26,12 +26,16 @@ Nodes, splits and leaves are numbered in level order. So the children of split `
 
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from plr_jax._arrays import product_in_order
+from plr_jax.plr._file import DecodedFile, filled_coefficients
 from plr_jax.plr.coding import BitWriter
-from plr_jax.plr.frame import Frame, table_corners
+from plr_jax.plr.finite_elements import monomials, plane_coefficients
+from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
 from plr_jax.plr.leaves import code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
 from plr_jax.plr.tree import Tree, corner_bits
@@ -40,12 +44,13 @@ DECODER = Path(__file__).with_name("decoder.h")
 """The source of the decoder."""
 
 _MAGIC = int.from_bytes(b"PLC1", "little")
-_NUM_WORDS = 16
+_NUM_WORDS = 18
 _RECORD = 64  # bits of digits in a record of a directory
-_FAR, _FOLDED, _TURNED, _CODED = 1, 2, 4, 8  # flags
+_FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
 _UNITS = np.array([0, 1, 2, 4])  # units of the level's width that a middle takes, by its mark
 _FLOAT_BITS = 32  # planes of so many bits are floats
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
+_ROUNDING = 1e-6  # of values that are multiples of a power of two but for rounding
 
 
 def compact_bytes(program: Program) -> bytes:
@@ -53,14 +58,9 @@ def compact_bytes(program: Program) -> bytes:
     choices, contents = [_Image(program).with_rows()], program.contents
     if program.leaf.name == "plane" and contents.stored.bits < _FLOAT_BITS:
         choices.append(_Image(program).with_planes())
-    if program.leaf.name == "continuous":
-        codes = contents.leaf.coefficients(contents.tree.leaves, contents.stored)
-        codes = (codes - contents.stored.offset) / contents.stored.step
-        largest = np.abs(codes[np.isfinite(codes)]).max(initial=1.0)
-        for fraction_bits in range(_MOST_FRACTION_BITS):
-            if largest * 2.0**fraction_bits < _LARGEST_VALUE:
-                middles = _Middles(contents.tree, codes, fraction_bits)
-                choices.append(_Image(program).with_values(middles))
+    is_smooth = program.leaf.name == "smooth" and program.dim == 2
+    if program.leaf.name == "continuous" or is_smooth:
+        choices.append(_Image(program).with_values(_Middles(contents, is_smooth)))
     return min(choices, key=len)
 
 
@@ -76,6 +76,7 @@ class _Image:
         self.leaves = self.tree.leaf_of_node[~is_split]
         self.numbers = program.leaf_parameters[self.leaves]
         self.at_values, self.fraction_bits, self.offset, self.step = 0, 0, 0.0, 0.0
+        self.planes, self.plane_numbers = np.zeros(0, np.int64), np.zeros((0, 3))
         self.body = BitWriter()
         self._write_domain()
         self.at_tree = self._at
@@ -148,13 +149,28 @@ class _Image:
         of_leaf = widths[self.level_of_leaf]
         self.body.write((fields & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
 
-    def _finish(self, rows: Float[np.ndarray, "rows terms"], odd: Int[np.ndarray, "odd"], flags: int) -> bytes:
-        """Append odd leaves and rows; return all bytes."""
+    def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
+        """Append the numbers that differ from those that a query computes (``numbers``), and return all bytes.
+
+        If a leaf has fewer numbers that are not 0, these are stored, and a flag in the first of them.
+        """
+        bits, given = self.numbers.view(np.uint32), numbers.view(np.uint32)
+        is_cleared = np.count_nonzero(bits, axis=1) < np.count_nonzero(bits != given, axis=1)
+        leaf, term = np.nonzero(bits != np.where(is_cleared[:, None], 0, given))
+        is_first = np.diff(leaf, prepend=-1) > 0
+        return self._finish(self.numbers[leaf, term], np.stack([leaf, term | (is_first & is_cleared[leaf]) << 8]), flags)
+
+    def _finish(self, floats: Float[np.ndarray, "floats"], odd: Int[np.ndarray, "2 odd"], flags: int) -> bytes:
+        """Append floats and, if a query computes the others, their leaves and terms; return all bytes."""
         program, folding = self.program, self.program.folding_arrays
         at_odd, index_bits = self._at, len(self.leaves).bit_length()
-        self.body.write(odd, index_bits)
+        self.body.write(odd.T.ravel(), np.tile([index_bits, 9], odd.shape[1]))
+        at_planes = self._at
+        words = np.ascontiguousarray(self.plane_numbers, "<f8").view("<u4").astype(np.int64)
+        fields = np.column_stack([self.planes, words])
+        self.body.write(fields.ravel(), np.tile([index_bits, *[32] * 6], len(fields)))
         at_rows = self._at
-        self._write_floats(rows)
+        self._write_floats(floats)
         flags |= _FAR * (program.corner is not None)
         if folding is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
@@ -162,15 +178,15 @@ class _Image:
         widths = self.axis_bits | self.fraction_bits << 8 | index_bits << 16
         scale = np.array([self.offset, self.step], np.float32).view(np.uint32).tolist()
         data = self.body.to_bytes()
-        words = [_MAGIC, 4 * _NUM_WORDS + len(data) + 4, kind, widths, rows.shape[1], len(odd), *scale, at_odd]
-        words += [self.at_tree, self.at_axes, self.at_levels, self.at_values, at_rows, self.at_folding, self.at_exact]
+        words = [_MAGIC, 4 * _NUM_WORDS + len(data) + 4, kind, widths, self.numbers.shape[1], odd.shape[1], len(self.planes), *scale, at_odd]
+        words += [at_planes, self.at_tree, self.at_axes, self.at_levels, self.at_values, at_rows, self.at_folding, self.at_exact]
         data = np.array(words, "<u4").tobytes() + data
         return data + zlib.crc32(data).to_bytes(4, "little")
 
     def with_rows(self) -> bytes:
         rows, row_of_leaf = distinct_rows(self.numbers)
         self._write_leaf_fields(row_of_leaf[:, None], np.full((self.num_levels, 1), (len(rows) - 1).bit_length()))
-        return self._finish(rows, np.zeros(0, np.int64), 0)
+        return self._finish(rows.ravel(), np.zeros((2, 0), np.int64), 0)
 
     def with_planes(self) -> bytes:
         planes = self.program.contents.stored
@@ -181,20 +197,31 @@ class _Image:
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
         self._write_leaf_fields(codes, widths)
-        return self._finish(self.numbers[is_odd], np.flatnonzero(is_odd), _CODED)
+        return self._finish_codes(np.where(is_odd[:, None], np.float32(0), self.numbers), _CODED)
 
     def with_values(self, middles: "_Middles") -> bytes:
         stored = self.program.contents.stored
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
-        # 1. Compute each leaf's numbers as a query does; store a leaf as floats if they are not those of the file.
-        codes = middles.corners[self.tree.child < 0].reshape(-1, *[2] * self.dim)
-        for axis in range(1, 1 + self.dim):
-            codes = np.concatenate([codes.take([0], axis), np.diff(codes, axis=axis)], axis=axis)
-        codes = codes.reshape(len(self.leaves), -1)
-        numbers = np.float32(self.step) * codes.astype(np.float32)
-        numbers[:, 0] = (self.offset + self.step * codes[:, 0]).astype(np.float32)
-        is_odd = (numbers.view(np.uint32) != self.numbers.view(np.uint32)).any(axis=1)
+        # 1. Compute each leaf's numbers as a query does.
+        corners = middles.corners[self.tree.child < 0]
+        if self.program.leaf.name == "smooth":
+            coefficients = self.step * _smooth_numbers(self.tree, middles.corners, self.program.contents.domain.periodic)
+            coefficients[:, ::4] += self.offset
+            self.planes = np.flatnonzero(self.program.contents.stored.partition.unreachable[self.leaves])
+            filled = filled_coefficients(self.program.contents)[self.leaves[self.planes]]
+            self.planes, filled = self.planes[filled[:, 0] < np.inf], filled[filled[:, 0] < np.inf]
+            half = filled[:, [2, 1]] / 2
+            self.plane_numbers = np.column_stack([_plane_centers(filled[:, ::4], half), half])
+            coefficients[self.planes] = plane_coefficients(1, self.plane_numbers[:, 0], half)
+            numbers = product_in_order(coefficients, monomials(1, 2)).astype(np.float32)
+        else:
+            codes = corners.reshape(-1, *[2] * self.dim)
+            for axis in range(1, 1 + self.dim):
+                codes = np.concatenate([codes.take([0], axis), np.diff(codes, axis=axis)], axis=axis)
+            codes = codes.reshape(len(self.leaves), -1)
+            numbers = np.float32(self.step) * codes.astype(np.float32)
+            numbers[:, 0] = (self.offset + self.step * codes[:, 0]).astype(np.float32)
         # 2. Append the values at the corners of the domain, marks, and values of middles.
         self.body.write(middles.corners[0] & 0xFFFFFFFF, 32)
         widths = middles.best_widths(self.level_of_split, self.num_levels)
@@ -203,7 +230,7 @@ class _Image:
         count = np.bincount(self.level_of_split, units.sum(axis=1), self.num_levels).astype(np.int64)
         self._write_levels(count, widths[:, None])
         self.body.write(*middles.fields(widths[self.level_of_split]))
-        return self._finish(self.numbers[is_odd], np.flatnonzero(is_odd), _CODED)
+        return self._finish_codes(numbers, _CODED | _VALUES)
 
 
 class _Middles:
@@ -218,19 +245,23 @@ class _Middles:
             in units of ``2**-fraction_bits`` steps.
     """
 
-    def __init__(self, tree: Tree, codes: Float[np.ndarray, "leaves corners"], fraction_bits: int) -> None:
-        self.fraction_bits, num_splits = fraction_bits, np.count_nonzero(tree.child >= 0)
+    def __init__(self, contents: DecodedFile, is_smooth: bool) -> None:
+        tree, partition = contents.tree, contents.stored.partition
+        codes = (partition.space.values @ contents.stored.code.astype(np.float64)).reshape(len(tree.leaves), -1)
+        scaled = codes * 2.0 ** np.arange(_MOST_FRACTION_BITS)[:, None, None]
+        is_rounded = np.abs(scaled - np.rint(scaled)) > _ROUNDING
+        is_rounded |= np.abs(scaled) > _LARGEST_VALUE
+        self.fraction_bits = fraction_bits = int(np.argmin(np.count_nonzero(is_rounded, axis=(1, 2))))
+        num_splits = np.count_nonzero(tree.child >= 0)
         bits, each = corner_bits(tree.cells.dim), np.arange(codes.shape[1])
-        # 1. The value wanted at each corner of a node is that of the leaf there; an unreachable leaf takes any.
+        # 1. The value wanted at each corner of a node is that of the leaf there; an unreachable leaf takes any, but
+        # smooth leaves around it must not take its value for theirs.
         leaf_at = np.empty((len(tree.child), len(each)), np.int64)
         leaf_at[tree.node_of_leaf] = np.arange(len(codes))[:, None]
         for split in reversed(tree.splits):
             leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, each]
-        is_free = np.isinf(codes[:, 0])[leaf_at]
-        wanted = np.where(
-            is_free, 0, np.rint(np.ldexp(np.where(np.isinf(codes), 0.0, codes), fraction_bits))[leaf_at, each]
-        )
-        wanted = wanted.astype(np.int64)
+        is_free = partition.unreachable[leaf_at]
+        wanted = np.rint(np.ldexp(codes, fraction_bits)).astype(np.int64)[leaf_at, each] * ~is_free
         # 2. From the root down, halve the edges.
         self.corners = np.empty_like(leaf_at)
         self.corners[0] = wanted[0]
@@ -245,7 +276,8 @@ class _Middles:
                 rounded = (mean + ((1 << fraction_bits) >> 1)) >> fraction_bits
                 want = np.stack([wanted[halves][:, is_high], wanted[halves + 1][:, ~is_high]], axis=2)
                 free = np.stack([is_free[halves][:, is_high], is_free[halves + 1][:, ~is_high]], axis=2)
-                want = np.where(free, np.where(free[:, :, ::-1], mean[:, :, None], want[:, :, ::-1]), want)
+                any_value = np.where(free[:, :, ::-1], mean[:, :, None], want[:, :, ::-1] + is_smooth)
+                want = np.where(free, any_value, want)
                 from_mean = want - mean[:, :, None]
                 is_whole = (want & ((1 << fraction_bits) - 1) == 0) & (from_mean != 0)
                 here, from_whole = number[nodes], (want >> fraction_bits) - rounded[:, :, None]
@@ -279,3 +311,91 @@ class _Middles:
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
+
+
+_MOST_EDGES = 8  # edges on which a corner of a smooth leaf hangs, one on another
+
+
+def _smooth_numbers(
+    tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
+) -> Float[np.ndarray, "leaves terms"]:
+    """Return value and derivatives at the corners of smooth leaves, in level order, in units of a stored integer."""
+    at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
+    leaves = np.flatnonzero(tree.child < 0)
+    depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
+    coefficients = np.zeros((len(leaves), 4, 4))
+    for corner, ends in enumerate(corner_bits(2)):
+        points = (position + ends) << (FRACTION_BITS - depth)
+        of_points = zip(map(tuple, points.tolist()), corners[leaves, corner].tolist(), strict=True)
+        coefficients[:, corner] = [at_corner(point, value, _MOST_EDGES) for point, value in of_points]
+    return (coefficients / np.ldexp(1.0, depth @ corner_bits(2).T)[:, None]).reshape(len(leaves), -1)
+
+
+def _plane_centers(values: Float[np.ndarray, "n 4"], half: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    """Return the centers of planes with given corner values, if possible those that round to these values."""
+    center = middle = (values[:, 0] + values[:, 3]) / 2
+    for ulps in (1, -1, 2, -2):
+        is_same = (plane_coefficients(0, center, half) == values).all(axis=1)
+        center = np.where(is_same, center, middle + ulps * np.spacing(middle))
+    return center
+
+
+def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the coefficients of a cubic, from values and derivatives at both ends of [0, 1]."""
+    return v0, d0, 3 * (v1 - v0) - 2 * d0 - d1, 2 * (v0 - v1) + d0 + d1
+
+
+class _SmoothCorners:
+    """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``."""
+
+    def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
+        self.child, self.axis, self.corners, self.periodic = tree.child.tolist(), tree.axis.tolist(), corners, periodic
+        self.depth, self.position = tree.cells.depth.tolist(), tree.cells.position.tolist()
+        self.known: dict[tuple[tuple[int, int], int], list[float]] = {}
+
+    def __call__(self, point: tuple[int, int], value: int, edges: int) -> list[float]:
+        if (point, value) not in self.known:
+            self.known[point, value] = self._numbers(point, value, edges)
+        return self.known[point, value]
+
+    def _numbers(self, point: tuple[int, int], value: int, edges: int) -> list[float]:
+        out, weight = [float(value), 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+        for quadrant in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            place = [along - below for along, below in zip(point, quadrant, strict=True)]
+            outside = (not 0 <= along < 1 << FRACTION_BITS for along in place)
+            if any(out and not wraps for out, wraps in zip(outside, self.periodic, strict=True)):
+                continue
+            place = [along % (1 << FRACTION_BITS) for along in place]
+            node = 0
+            while (child := self.child[node]) >= 0:
+                axis = self.axis[node]
+                node = child + (place[axis] >> (FRACTION_BITS - 1 - self.depth[node][axis]) & 1)
+            corner, depth = self.corners[node], self.depth[node]
+            size = [1 << (FRACTION_BITS - k) for k in depth]
+            cell = [p * width for p, width in zip(self.position[node], size, strict=True)]
+            from_lower = [a - lo + below for a, lo, below in zip(place, cell, quadrant, strict=True)]
+            index = 2 * (from_lower[0] == size[0]) + (from_lower[1] == size[1])
+            edge = next((axis for axis in (0, 1) if 0 < from_lower[axis] < size[axis]), None)
+            if edge is not None:
+                across, along, t = 2 >> edge, size[edge], from_lower[edge] / size[edge]
+                ends = corner[index], corner[index | across]
+                if ends[0] * (along - from_lower[edge]) + ends[1] * from_lower[edge] != value * along or not edges:
+                    continue
+                scale = float(1 << depth[edge])
+                first, second = (list(point) for _ in range(2))
+                first[edge], second[edge] = cell[edge], cell[edge] + along
+                p, q = self(tuple(first), ends[0], edges - 1), self(tuple(second), ends[1], edges - 1)
+                for i in (i for i in range(4) if not i & across):
+                    a, b, c, d = _cubic(p[i], p[i | across] / scale, q[i], q[i | across] / scale)
+                    out[i] = ((d * t + c) * t + b) * t + a
+                    out[i | across] = ((3 * d * t + 2 * c) * t + b) * scale
+                return out
+            if corner[index] == value:
+                values = list(map(float, corner))
+                differences = values[1 | index] - values[index & 2], values[2 | index] - values[index & 1]
+                both = (values[3] - values[2]) - (values[1] - values[0])
+                widths = float(1 << depth[1]), float(1 << depth[0]), float(1 << depth[0]) * float(1 << depth[1])
+                for kind, (w, difference) in enumerate(zip(widths, (*differences, both), strict=True), 1):
+                    weight[kind] += w
+                    out[kind] += w * w * difference
+        return [number / of_all if of_all else np.nan for number, of_all in zip(out, weight, strict=True)]

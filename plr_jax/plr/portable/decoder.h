@@ -55,9 +55,11 @@ enum {
     PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, fraction bits of values, bits of a leaf's number */
     PLR_JAX_W_TERMS,  /* numbers of a leaf */
     PLR_JAX_W_NUM_ODD,
+    PLR_JAX_W_NUM_PLANES,
     PLR_JAX_W_OFFSET,
     PLR_JAX_W_STEP,
     PLR_JAX_W_ODD,
+    PLR_JAX_W_PLANES,
     PLR_JAX_W_TREE,
     PLR_JAX_W_AXES,
     PLR_JAX_W_LEVELS,
@@ -68,7 +70,7 @@ enum {
     PLR_JAX_NUM_WORDS
 };
 enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
-enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8 };
+enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8, PLR_JAX_VALUES = 16 };
 /* The floats of an axis, after the words. */
 enum {
     PLR_JAX_LEAST,
@@ -124,13 +126,17 @@ static inline float plr_jax_frame(const struct plr_jax *f, uint32_t axis, uint32
     return plr_jax_float(f, 32u * (PLR_JAX_NUM_WORDS + PLR_JAX_NUM_FLOATS * axis + index));
 }
 
-static inline double plr_jax_exact(const struct plr_jax *f, uint32_t axis, uint32_t index)
+static inline double plr_jax_double(const struct plr_jax *f, uint32_t at)
 {
-    const uint32_t at = plr_jax_word(f, PLR_JAX_W_EXACT) + 64u * (PLR_JAX_NUM_DOUBLES * axis + index);
     const uint64_t bits = (uint64_t)plr_jax_bits(f, at + 32u, 32) << 32 | plr_jax_bits(f, at, 32);
     double value;
     memcpy(&value, &bits, sizeof value);
     return value;
+}
+
+static inline double plr_jax_exact(const struct plr_jax *f, uint32_t axis, uint32_t index)
+{
+    return plr_jax_double(f, plr_jax_word(f, PLR_JAX_W_EXACT) + 64u * (PLR_JAX_NUM_DOUBLES * axis + index));
 }
 
 static inline uint32_t plr_jax_ones(uint32_t v)
@@ -241,18 +247,195 @@ static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint3
     }
 }
 
+/* Finds the leaf at a place: its number, where the fields of its level are, per axis the number of halvings and the
+   position of its cell, and the values at its corners if there are some. */
+static inline uint32_t plr_jax_descend(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
+                                       int32_t *corner, uint32_t *at_level)
+{
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u;
+    const uint32_t widths = plr_jax_word(f, PLR_JAX_W_WIDTHS), tree = plr_jax_word(f, PLR_JAX_W_TREE);
+    const uint32_t has_values = kind >> 16 & PLR_JAX_VALUES;
+    uint32_t levels = kind >> 24, node = 0, i;
+    memset(cell, 0, dim * sizeof *cell);
+    for (i = 0; has_values && i < 1u << dim; ++i) {
+        corner[i] = plr_jax_signed(f, plr_jax_word(f, PLR_JAX_W_MARKS) - (32u << dim) + 32u * i, 32);
+    }
+    for (*at_level = plr_jax_word(f, PLR_JAX_W_LEVELS);; *at_level += 40u + 8u * dim) {
+        const uint32_t split = plr_jax_rank(f, tree, node, 0), axis_bits = widths & 255u;
+        const uint32_t axis = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_AXES) + axis_bits * split, axis_bits);
+        uint32_t upper;
+        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || !levels-- || axis >= dim
+            || cell[axis][0] == 23u) {
+            return node - split;
+        }
+        upper = place[axis] >> (22u - cell[axis][0]) & 1u;
+        ++cell[axis][0];
+        cell[axis][1] = 2u * cell[axis][1] + upper;
+        if (has_values) {
+            plr_jax_halve(f, corner, dim, axis, upper, split, *at_level, widths >> 8 & 31u);
+        }
+        node = 2u * split + 1u + upper;
+    }
+}
+
+/* Turns values and derivatives at both ends of [0, 1] into the coefficients of a cubic. */
+static inline void plr_jax_cubic(double *p, uint32_t stride)
+{
+    const double v0 = p[0], d0 = p[stride], v1 = p[2u * stride], d1 = p[3u * stride];
+    p[2u * stride] = 3.0 * (v1 - v0) - 2.0 * d0 - d1;
+    p[3u * stride] = 2.0 * (v0 - v1) + d0 + d1;
+}
+
+/* The numbers of smooth leaves at a corner of some leaf where they have a value: this, the derivatives by the second
+   and the first coordinate, and by both; by fractions of the domain. Derivatives are means over the leaves around the
+   corner whose functions agree there. If one of these is larger and has the corner on an edge, the numbers are those
+   of its cubic, which follows from the ends of the edge. */
+static void plr_jax_smooth(const struct plr_jax *f, const uint32_t *point, int32_t value, uint32_t depth, double *out)
+{
+    double weight[4] = {1.0, 0.0, 0.0, 0.0};
+    uint32_t quadrant, axis, i, kind;
+    out[0] = (double)value;
+    out[1] = out[2] = out[3] = 0.0;
+    for (quadrant = 0; quadrant < 4u; ++quadrant) {
+        uint32_t place[2], cell[2][2], from[2], size[2], at_level, index = 0, edge = 2;
+        int32_t corner[4] = {0, 0, 0, 0};
+        int is_inside = 1;
+        for (axis = 0; axis < 2u; ++axis) {
+            place[axis] = point[axis] - (quadrant >> axis & 1u);
+            is_inside = is_inside && (!(place[axis] >> 23)
+                                      || plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST));
+            place[axis] &= 0x7fffffu;
+        }
+        if (!is_inside) {
+            continue;
+        }
+        plr_jax_descend(f, place, cell, corner, &at_level);
+        for (axis = 0; axis < 2u; ++axis) {
+            size[axis] = 1u << (23u - cell[axis][0]);
+            from[axis] = place[axis] - cell[axis][1] * size[axis] + (quadrant >> axis & 1u);
+            index |= from[axis] == size[axis] ? 2u >> axis : 0u;
+            edge = from[axis] && from[axis] < size[axis] ? axis : edge;
+        }
+        if (edge < 2u) {
+            const uint32_t across = 2u >> edge, along = size[edge];
+            const double scale = (double)(1u << cell[edge][0]), t = (double)from[edge] / (double)along;
+            uint32_t end[2];
+            double p[2][4], q[4];
+            if ((int64_t)corner[index] * (along - from[edge]) + (int64_t)corner[index | across] * from[edge]
+                    != (int64_t)value * along
+                || !depth) {
+                continue;
+            }
+            end[edge] = cell[edge][1] * along;
+            end[1u - edge] = point[1u - edge];
+            plr_jax_smooth(f, end, corner[index], depth - 1u, p[0]);
+            end[edge] += along;
+            plr_jax_smooth(f, end, corner[index | across], depth - 1u, p[1]);
+            for (i = 0; i < 4u; ++i) {
+                if (!(i & across)) {
+                    q[0] = p[0][i];
+                    q[1] = p[0][i | across] / scale;
+                    q[2] = p[1][i];
+                    q[3] = p[1][i | across] / scale;
+                    plr_jax_cubic(q, 1);
+                    out[i] = ((q[3] * t + q[2]) * t + q[1]) * t + q[0];
+                    out[i | across] = ((3.0 * q[3] * t + 2.0 * q[2]) * t + q[1]) * scale;
+                }
+            }
+            return;
+        }
+        if (corner[index] == value) {
+            const double dx = (double)corner[2u | index] - (double)corner[index & 1u];
+            const double dy = (double)corner[1u | index] - (double)corner[index & 2u];
+            const double both = ((double)corner[3] - (double)corner[2]) - ((double)corner[1] - (double)corner[0]);
+            for (kind = 1; kind < 4u; ++kind) {
+                const double w = (kind & 2u ? (double)(1u << cell[0][0]) : 1.0)
+                                 * (kind & 1u ? (double)(1u << cell[1][0]) : 1.0);
+                weight[kind] += w;
+                out[kind] += w * w * (kind == 1u ? dy : kind == 2u ? dx : both);
+            }
+        }
+    }
+    for (kind = 1; kind < 4u; ++kind) {
+        out[kind] = out[kind] / weight[kind];
+    }
+}
+
+/* The first of some sorted records that begins with a leaf's number or a larger one. */
+static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32_t count, uint32_t size, uint32_t leaf)
+{
+    const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
+    uint32_t first = 0;
+    while (first < count) {
+        const uint32_t middle = first + ((count - first) >> 1);
+        if (plr_jax_bits(f, at + size * middle, index_bits) < leaf) {
+            first = middle + 1u;
+        } else {
+            count = middle;
+        }
+    }
+    return first;
+}
+
+/* The coefficients of a smooth leaf, from the values at its corners, or from a plane if the goal cannot be reached
+   from the leaf. */
+static inline void plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t (*cell)[2], const int32_t *corner,
+                                       uint32_t leaf, float *n)
+{
+    static const signed char basis[4][4] = {{1, 0, -3, 2}, {0, 1, -2, 1}, {0, 0, 3, -2}, {0, 0, -1, 1}};
+    const uint32_t size = (plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u) + 192u;
+    const uint32_t num_planes = plr_jax_word(f, PLR_JAX_W_NUM_PLANES);
+    const uint32_t row = plr_jax_find(f, plr_jax_word(f, PLR_JAX_W_PLANES), num_planes, size, leaf);
+    const uint32_t at = plr_jax_word(f, PLR_JAX_W_PLANES) + size * row;
+    const int is_plane = row < num_planes && plr_jax_bits(f, at, size - 192u) == leaf;
+    const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
+    const double step = (double)plr_jax_float(f, 32u * PLR_JAX_W_STEP);
+    uint32_t i, kind, axis, point[2];
+    double p[16], plane[3], sum;
+    for (i = 0; i < 3u; ++i) {
+        plane[i] = plr_jax_double(f, at + size - 192u + 64u * i);
+    }
+    for (i = 0; i < 4u; ++i) {
+        double *const q = p + 4u * i;
+        if (is_plane) {
+            q[0] = plane[0] + ((i & 2u ? plane[1] : -plane[1]) + (i & 1u ? plane[2] : -plane[2]));
+            q[1] = 2.0 * plane[2];
+            q[2] = 2.0 * plane[1];
+            q[3] = 0.0;
+            continue;
+        }
+        for (axis = 0; axis < 2u; ++axis) {
+            point[axis] = (cell[axis][1] + (i >> (1u - axis) & 1u)) << (23u - cell[axis][0]);
+        }
+        plr_jax_smooth(f, point, corner[i], 8, q);
+        for (kind = 0; kind < 4u; ++kind) {
+            const double width = (kind & 2u ? (double)(1u << cell[0][0]) : 1.0)
+                                 * (kind & 1u ? (double)(1u << cell[1][0]) : 1.0);
+            q[kind] = (kind ? 0.0 : offset) + step * q[kind] / width;
+        }
+    }
+    for (i = 0; i < 16u; ++i) {
+        sum = 0.0;
+        for (kind = 0; kind < 16u; ++kind) { /* corner by corner, at each of them value and derivatives */
+            const uint32_t first = (kind >> 2 & 2u) | (kind >> 1 & 1u), second = (kind >> 1 & 2u) | (kind & 1u);
+            sum = sum + p[kind] * (double)(basis[first][i >> 2] * basis[second][i & 3u]);
+        }
+        n[i] = (float)sum;
+    }
+}
+
 /* Turns a point, relative to the lower corner of a far domain, into offsets from the corner of the stored part, and
    finds its leaf: per axis the number of halvings and the position of its cell, and its numbers. Returns 0 for
    points outside. */
 static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n)
 {
-    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
-    const uint32_t flags = kind >> 16 & 255u, widths = plr_jax_word(f, PLR_JAX_W_WIDTHS);
-    const uint32_t axis_bits = widths & 255u, fraction = widths >> 8 & 31u, index_bits = widths >> 16 & 255u;
-    const uint32_t terms = plr_jax_word(f, PLR_JAX_W_TERMS), tree = plr_jax_word(f, PLR_JAX_W_TREE);
-    const uint32_t has_values = model == PLR_JAX_CONTINUOUS && flags & PLR_JAX_CODED, stride = 40u + 8u * dim;
-    uint32_t place[PLR_JAX_MAX_DIM], axis, i, node = 0, leaf, row, first = 0, last, at_level;
-    uint32_t levels = kind >> 24, at, width;
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, flags = kind >> 16 & 255u;
+    const uint32_t terms = plr_jax_word(f, PLR_JAX_W_TERMS), rows = plr_jax_word(f, PLR_JAX_W_ROWS);
+    const uint32_t odd = plr_jax_word(f, PLR_JAX_W_ODD), num_odd = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
+    const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
+    const float step = plr_jax_float(f, 32u * PLR_JAX_W_STEP);
+    const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
+    uint32_t place[PLR_JAX_MAX_DIM], axis, i, leaf, first, at_level, at, width;
     int32_t corner[64];
 
     /* 1. Place. */
@@ -276,63 +459,25 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         share = (share < top ? share : top) + plr_jax_frame(f, axis, PLR_JAX_START);
         share = share < 1.0f ? 1.0f : share;
         memcpy(&place[axis], &share, sizeof share);
-        place[axis] <<= 9; /* the mantissa is the position along the axis */
-        cell[axis][0] = cell[axis][1] = 0;
+        place[axis] &= 0x7fffffu; /* the mantissa is the position along the axis */
     }
-
-    /* 2. Descend. */
-    for (i = 0; has_values && i < 1u << dim; ++i) {
-        corner[i] = plr_jax_signed(f, plr_jax_word(f, PLR_JAX_W_MARKS) - (32u << dim) + 32u * i, 32);
-    }
-    for (at_level = plr_jax_word(f, PLR_JAX_W_LEVELS);; at_level += stride) {
-        const uint32_t split = plr_jax_rank(f, tree, node, 0);
-        uint32_t upper;
-        leaf = node - split;
-        axis = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_AXES) + axis_bits * split, axis_bits);
-        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || !levels-- || axis >= dim
-            || cell[axis][0] == 23u) {
-            break;
-        }
-        upper = place[axis] >> 31;
-        place[axis] <<= 1;
-        ++cell[axis][0];
-        cell[axis][1] = 2u * cell[axis][1] + upper;
-        if (has_values) {
-            plr_jax_halve(f, corner, dim, axis, upper, split, at_level, fraction);
-        }
-        node = 2u * split + 1u + upper;
-    }
-
-    /* 3. Numbers that are stored as floats: of all leaves, or of the odd ones, whose numbers are no codes. */
+    leaf = plr_jax_descend(f, place, cell, corner, &at_level);
     at = plr_jax_bits(f, at_level, 32);
     width = plr_jax_bits(f, at_level + 32u, 8);
-    if (flags & PLR_JAX_CODED) {
-        const uint32_t odd = plr_jax_word(f, PLR_JAX_W_ODD), num_odd = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
-        for (last = num_odd; first < last;) {
-            const uint32_t middle = first + ((last - first) >> 1);
-            if (plr_jax_bits(f, odd + index_bits * middle, index_bits) < leaf) {
-                first = middle + 1u;
-            } else {
-                last = middle;
-            }
-        }
-        row = first;
-        first = row < num_odd && plr_jax_bits(f, odd + index_bits * row, index_bits) == leaf;
-    } else {
-        row = plr_jax_bits(f, at + width * leaf, width);
-        first = 1;
-    }
-    if (first) {
+
+    /* 2. Numbers that are stored as floats. */
+    if (!(flags & PLR_JAX_CODED)) {
+        at = rows + 32u * terms * plr_jax_bits(f, at + width * leaf, width);
         for (i = 0; i < terms; ++i) {
-            n[i] = plr_jax_float(f, plr_jax_word(f, PLR_JAX_W_ROWS) + 32u * (row * terms + i));
+            n[i] = plr_jax_float(f, at + 32u * i);
         }
         return 1;
     }
 
-    /* 4. Coefficients of the products of coordinates, from corner values. */
-    const float step = plr_jax_float(f, 32u * PLR_JAX_W_STEP);
-    const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
-    if (has_values) {
+    /* 3. Coefficients of the products of powers of coordinates, from corner values. */
+    if (flags & PLR_JAX_VALUES && terms == 16u && dim == 2u) {
+        plr_jax_smooth_leaf(f, (const uint32_t(*)[2])cell, corner, leaf, n);
+    } else if (flags & PLR_JAX_VALUES) {
         for (width = 1u; width < terms; width *= 2u) {
             for (i = 0; i < terms; ++i) {
                 if (i & width) {
@@ -344,17 +489,14 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
             n[i] = step * (float)corner[i];
         }
         n[0] = (float)(offset + (double)step * (double)corner[0]);
-        return 1;
-    }
-
-    /* 5. Value at the corner of the domain and slopes, from the value at the center and the rise along each axis. */
-    for (axis = 0, i = 0; axis <= dim; ++axis) {
-        i += plr_jax_bits(f, at_level + 32u + 8u * axis, 8);
-    }
-    at += i * leaf;
-    {
-        const double center = offset + (double)step * (double)plr_jax_bits(f, at, width);
-        double sum = 0.0;
+    } else {
+        /* 4. Or value at the corner of the domain and slopes, from the value at the center and the rise along axes. */
+        double center, sum = 0.0;
+        for (axis = 0, i = 0; axis <= dim; ++axis) {
+            i += plr_jax_bits(f, at_level + 32u + 8u * axis, 8);
+        }
+        at += i * leaf;
+        center = offset + (double)step * (double)plr_jax_bits(f, at, width);
         for (axis = 0; axis < dim; ++axis) {
             const double lo = plr_jax_exact(f, axis, PLR_JAX_LEAF_LO), hi = plr_jax_exact(f, axis, PLR_JAX_LEAF_HI);
             const double size = 1.0 / (double)(1u << cell[axis][0]), to = (double)(cell[axis][1] + 1u) * size;
@@ -369,6 +511,22 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
             sum = axis ? sum + slope : slope;
         }
         n[0] = (float)(center - sum);
+    }
+
+    /* 5. Numbers that differ from these, sorted by leaf; the first of a leaf may say that all others are 0. */
+    first = plr_jax_find(f, odd, num_odd, index_bits + 9u, leaf);
+    for (; first < num_odd; ++first) {
+        at = odd + (index_bits + 9u) * first;
+        if (plr_jax_bits(f, at, index_bits) != leaf) {
+            break;
+        }
+        i = plr_jax_bits(f, at + index_bits, 8);
+        if (plr_jax_bits(f, at + index_bits + 8u, 1)) {
+            memset(n, 0, terms * sizeof *n);
+        }
+        if (i < terms) {
+            n[i] = plr_jax_float(f, rows + 32u * first);
+        }
     }
     return 1;
 }
@@ -439,7 +597,7 @@ static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, ui
     terms = plr_jax_word(f, PLR_JAX_W_TERMS);
     i = model == PLR_JAX_PLANE || model == PLR_JAX_CONE ? 1u + dim : 1u << (model * dim & 31u);
     return !dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
-                   || (model % 3u && dim > 6u)
+                   || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
                ? PLR_JAX_TOO_LARGE
                : PLR_JAX_OK;
 }
