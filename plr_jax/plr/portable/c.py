@@ -207,7 +207,7 @@ def compact_header(program: Program, name: str) -> str:
         f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,096. */",
         f"static inline float {name}_distance(const {of_type} x[{dim}])",
         "{",
-        f"    return plr_jax_distance{far}(&{name}_plr, x);",
+        f"    return plr_jax_distance{far}_of(&{name}_plr, x, 1u << PLR_JAX_{program.leaf.name.upper()});",
         "}",
         *waypoint * isinstance(program.leaf, Cone),
         "#endif",

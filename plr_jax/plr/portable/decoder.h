@@ -31,6 +31,7 @@
 #define PLR_JAX_MAX_DIM 6
 #endif
 #define PLR_JAX_MAX_TERMS (PLR_JAX_MAX_DIM < 64 ? 64 : PLR_JAX_MAX_DIM + 1)
+#define PLR_JAX_MAX_LEVELS 61
 
 /* A distance function: its bytes, which stay with the caller, in flash or in memory. */
 struct plr_jax {
@@ -70,6 +71,7 @@ enum {
     PLR_JAX_NUM_WORDS
 };
 enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
+enum { PLR_JAX_ANY = 15 }; /* a set of leaf models: the sum of 1 << model */
 enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8, PLR_JAX_VALUES = 16 };
 /* The floats of an axis, after the words. */
 enum {
@@ -247,25 +249,53 @@ static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint3
     }
 }
 
+/* The nodes from the root to a leaf in the plane, with the values at their corners. */
+struct plr_jax_path {
+    uint32_t last; /* index of the leaf; 0 if there is none yet */
+    struct {
+        uint32_t node, cell[2][2];
+        int32_t corner[4];
+    } at[PLR_JAX_MAX_LEVELS];
+};
+
 /* Finds the leaf at a place: its number, where the fields of its level are, per axis the number of halvings and the
-   position of its cell, and the values at its corners if there are some. */
+   position of its cell, and the values at its corners if there are some. A path, if one is given, is followed as far as
+   it leads to the place, and then leads to this leaf. */
 static inline uint32_t plr_jax_descend(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
-                                       int32_t *corner, uint32_t *at_level)
+                                       int32_t *corner, uint32_t *at_level, struct plr_jax_path *path)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u;
     const uint32_t widths = plr_jax_word(f, PLR_JAX_W_WIDTHS), tree = plr_jax_word(f, PLR_JAX_W_TREE);
     const uint32_t has_values = kind >> 16 & PLR_JAX_VALUES;
-    uint32_t levels = kind >> 24, node = 0, i;
+    uint32_t level = 0, node = 0, i;
     memset(cell, 0, dim * sizeof *cell);
     for (i = 0; has_values && i < 1u << dim; ++i) {
         corner[i] = plr_jax_signed(f, plr_jax_word(f, PLR_JAX_W_MARKS) - (32u << dim) + 32u * i, 32);
     }
-    for (*at_level = plr_jax_word(f, PLR_JAX_W_LEVELS);; *at_level += 40u + 8u * dim) {
+    if (path) {
+        for (level = path->last; level; --level) {
+            const uint32_t(*const held)[2] = (const uint32_t(*)[2])path->at[level].cell;
+            if (place[0] >> (23u - held[0][0]) == held[0][1] && place[1] >> (23u - held[1][0]) == held[1][1]) {
+                node = path->at[level].node;
+                memcpy(cell, held, sizeof path->at[level].cell);
+                memcpy(corner, path->at[level].corner, sizeof path->at[level].corner);
+                break;
+            }
+        }
+    }
+    for (;; ++level) {
         const uint32_t split = plr_jax_rank(f, tree, node, 0), axis_bits = widths & 255u;
         const uint32_t axis = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_AXES) + axis_bits * split, axis_bits);
         uint32_t upper;
-        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || !levels-- || axis >= dim
-            || cell[axis][0] == 23u) {
+        if (path) {
+            path->last = level;
+            path->at[level].node = node;
+            memcpy(path->at[level].cell, cell, sizeof path->at[level].cell);
+            memcpy(path->at[level].corner, corner, sizeof path->at[level].corner);
+        }
+        *at_level = plr_jax_word(f, PLR_JAX_W_LEVELS) + level * (40u + 8u * dim);
+        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || level + 1u >= kind >> 24
+            || axis >= dim || cell[axis][0] == 23u) {
             return node - split;
         }
         upper = place[axis] >> (22u - cell[axis][0]) & 1u;
@@ -290,7 +320,8 @@ static inline void plr_jax_cubic(double *p, uint32_t stride)
    and the first coordinate, and by both; by fractions of the domain. Derivatives are means over the leaves around the
    corner whose functions agree there. If one of these is larger and has the corner on an edge, the numbers are those
    of its cubic, which follows from the ends of the edge. */
-static void plr_jax_smooth(const struct plr_jax *f, const uint32_t *point, int32_t value, uint32_t depth, double *out)
+static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_path *path, const uint32_t *point,
+                                  int32_t value, uint32_t depth, double *out)
 {
     double weight[4] = {1.0, 0.0, 0.0, 0.0};
     uint32_t quadrant, axis, i, kind;
@@ -309,7 +340,7 @@ static void plr_jax_smooth(const struct plr_jax *f, const uint32_t *point, int32
         if (!is_inside) {
             continue;
         }
-        plr_jax_descend(f, place, cell, corner, &at_level);
+        plr_jax_descend(f, place, cell, corner, &at_level, path);
         for (axis = 0; axis < 2u; ++axis) {
             size[axis] = 1u << (23u - cell[axis][0]);
             from[axis] = place[axis] - cell[axis][1] * size[axis] + (quadrant >> axis & 1u);
@@ -328,9 +359,9 @@ static void plr_jax_smooth(const struct plr_jax *f, const uint32_t *point, int32
             }
             end[edge] = cell[edge][1] * along;
             end[1u - edge] = point[1u - edge];
-            plr_jax_smooth(f, end, corner[index], depth - 1u, p[0]);
+            plr_jax_smooth(f, path, end, corner[index], depth - 1u, p[0]);
             end[edge] += along;
-            plr_jax_smooth(f, end, corner[index | across], depth - 1u, p[1]);
+            plr_jax_smooth(f, path, end, corner[index | across], depth - 1u, p[1]);
             for (i = 0; i < 4u; ++i) {
                 if (!(i & across)) {
                     q[0] = p[0][i];
@@ -379,19 +410,24 @@ static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32
 
 /* The coefficients of a smooth leaf, from the values at its corners, or from a plane if the goal cannot be reached
    from the leaf. */
-static inline void plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t (*cell)[2], const int32_t *corner,
-                                       uint32_t leaf, float *n)
+static inline uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
+                                           float *n)
 {
     static const signed char basis[4][4] = {{1, 0, -3, 2}, {0, 1, -2, 1}, {0, 0, 3, -2}, {0, 0, -1, 1}};
     const uint32_t size = (plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u) + 192u;
-    const uint32_t num_planes = plr_jax_word(f, PLR_JAX_W_NUM_PLANES);
-    const uint32_t row = plr_jax_find(f, plr_jax_word(f, PLR_JAX_W_PLANES), num_planes, size, leaf);
-    const uint32_t at = plr_jax_word(f, PLR_JAX_W_PLANES) + size * row;
-    const int is_plane = row < num_planes && plr_jax_bits(f, at, size - 192u) == leaf;
+    const uint32_t num_planes = plr_jax_word(f, PLR_JAX_W_NUM_PLANES), planes = plr_jax_word(f, PLR_JAX_W_PLANES);
     const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
     const double step = (double)plr_jax_float(f, 32u * PLR_JAX_W_STEP);
-    uint32_t i, kind, axis, point[2];
+    uint32_t i, kind, axis, point[2], at, leaf, row;
+    int32_t corner[4];
+    int is_plane;
     double p[16], plane[3], sum;
+    struct plr_jax_path path;
+    path.last = 0;
+    leaf = plr_jax_descend(f, place, cell, corner, &at, &path);
+    row = plr_jax_find(f, planes, num_planes, size, leaf);
+    at = planes + size * row;
+    is_plane = row < num_planes && plr_jax_bits(f, at, size - 192u) == leaf;
     for (i = 0; i < 3u; ++i) {
         plane[i] = plr_jax_double(f, at + size - 192u + 64u * i);
     }
@@ -407,7 +443,7 @@ static inline void plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t (
         for (axis = 0; axis < 2u; ++axis) {
             point[axis] = (cell[axis][1] + (i >> (1u - axis) & 1u)) << (23u - cell[axis][0]);
         }
-        plr_jax_smooth(f, point, corner[i], 8, q);
+        plr_jax_smooth(f, &path, point, corner[i], 8, q);
         for (kind = 0; kind < 4u; ++kind) {
             const double width = (kind & 2u ? (double)(1u << cell[0][0]) : 1.0)
                                  * (kind & 1u ? (double)(1u << cell[1][0]) : 1.0);
@@ -422,12 +458,13 @@ static inline void plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t (
         }
         n[i] = (float)sum;
     }
+    return leaf;
 }
 
 /* Turns a point, relative to the lower corner of a far domain, into offsets from the corner of the stored part, and
    finds its leaf: per axis the number of halvings and the position of its cell, and its numbers. Returns 0 for
-   points outside. */
-static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n)
+   points outside. With a constant set of models, compilers leave out the code of others. */
+static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n, uint32_t models)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, flags = kind >> 16 & 255u;
     const uint32_t terms = plr_jax_word(f, PLR_JAX_W_TERMS), rows = plr_jax_word(f, PLR_JAX_W_ROWS);
@@ -435,8 +472,9 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
     const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
     const float step = plr_jax_float(f, 32u * PLR_JAX_W_STEP);
     const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
-    uint32_t place[PLR_JAX_MAX_DIM], axis, i, leaf, first, at_level, at, width;
+    uint32_t place[PLR_JAX_MAX_DIM], axis, i, leaf, first, at_level = 0, at, width;
     int32_t corner[64];
+    int is_smooth;
 
     /* 1. Place. */
     for (axis = 0; axis < dim; ++axis) {
@@ -461,9 +499,11 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         memcpy(&place[axis], &share, sizeof share);
         place[axis] &= 0x7fffffu; /* the mantissa is the position along the axis */
     }
-    leaf = plr_jax_descend(f, place, cell, corner, &at_level);
-    at = plr_jax_bits(f, at_level, 32);
-    width = plr_jax_bits(f, at_level + 32u, 8);
+    is_smooth = models & 1u << PLR_JAX_SMOOTH && flags & PLR_JAX_VALUES && terms == 16u && dim == 2u;
+    leaf = is_smooth ? plr_jax_smooth_leaf(f, place, cell, n)
+                     : plr_jax_descend(f, place, cell, corner, &at_level, NULL);
+    at = is_smooth ? 0 : plr_jax_bits(f, at_level, 32);
+    width = is_smooth ? 0 : plr_jax_bits(f, at_level + 32u, 8);
 
     /* 2. Numbers that are stored as floats. */
     if (!(flags & PLR_JAX_CODED)) {
@@ -474,10 +514,8 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         return 1;
     }
 
-    /* 3. Coefficients of the products of powers of coordinates, from corner values. */
-    if (flags & PLR_JAX_VALUES && terms == 16u && dim == 2u) {
-        plr_jax_smooth_leaf(f, (const uint32_t(*)[2])cell, corner, leaf, n);
-    } else if (flags & PLR_JAX_VALUES) {
+    /* 3. Coefficients of the products of coordinates, from corner values. */
+    if (models & 1u << PLR_JAX_CONTINUOUS && !is_smooth && flags & PLR_JAX_VALUES) {
         for (width = 1u; width < terms; width *= 2u) {
             for (i = 0; i < terms; ++i) {
                 if (i & width) {
@@ -489,7 +527,7 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
             n[i] = step * (float)corner[i];
         }
         n[0] = (float)(offset + (double)step * (double)corner[0]);
-    } else {
+    } else if (models & 1u << PLR_JAX_PLANE && !is_smooth) {
         /* 4. Or value at the corner of the domain and slopes, from the value at the center and the rise along axes. */
         double center, sum = 0.0;
         for (axis = 0, i = 0; axis <= dim; ++axis) {
@@ -532,23 +570,27 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
 }
 
 /* The value at a point that was not found to be outside, from the results of plr_jax_leaf. */
-static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint32_t (*cell)[2], float *n)
+static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint32_t (*cell)[2], float *n,
+                                  uint32_t models)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
     const uint32_t powers = model == PLR_JAX_SMOOTH ? 4u : 2u;
     uint32_t axis, i, k, count = plr_jax_word(f, PLR_JAX_W_TERMS);
     float sum = 0.0f;
-    if (model == PLR_JAX_CONE) {
+    if (models & 1u << PLR_JAX_CONE && model == PLR_JAX_CONE) {
         for (axis = 0; axis < dim; ++axis) {
             const float d = x[axis] - n[1u + axis];
             sum = axis ? sum + d * d : d * d;
         }
         return n[0] + sqrtf(sum);
     }
-    if (model == PLR_JAX_PLANE) {
+    if (models & 1u << PLR_JAX_PLANE && model == PLR_JAX_PLANE) {
         for (sum = n[0], axis = 0; axis < dim; ++axis) {
             sum = sum + n[1u + axis] * x[axis];
         }
+        return sum;
+    }
+    if (!(models & (1u << PLR_JAX_CONTINUOUS | 1u << PLR_JAX_SMOOTH))) {
         return sum;
     }
     for (axis = dim; axis--;) { /* Horner's rule, the last axis first */
@@ -597,7 +639,7 @@ static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, ui
     terms = plr_jax_word(f, PLR_JAX_W_TERMS);
     i = model == PLR_JAX_PLANE || model == PLR_JAX_CONE ? 1u + dim : 1u << (model * dim & 31u);
     return !dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
-                   || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
+                   || kind >> 24 > PLR_JAX_MAX_LEVELS || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
                ? PLR_JAX_TOO_LARGE
                : PLR_JAX_OK;
 }
@@ -614,22 +656,35 @@ static inline int plr_jax_is_far(const struct plr_jax *f)
     return (int)(plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_FAR);
 }
 
+/* The distance at a point and at z, the same point relative to a far domain. */
+static inline float plr_jax_answer(const struct plr_jax *f, float *z, int is_nan, uint32_t models)
+{
+    uint32_t cell[PLR_JAX_MAX_DIM][2];
+    float n[PLR_JAX_MAX_TERMS];
+    if (plr_jax_leaf(f, z, cell, n, models)) {
+        return plr_jax_value(f, z, cell, n, models);
+    }
+    return is_nan ? NAN : INFINITY;
+}
+
+/* The distance to the goal, of a set of leaf models. */
+static inline float plr_jax_distance_of(const struct plr_jax *f, const float *x, uint32_t models)
+{
+    const uint32_t dim = plr_jax_dim(f);
+    float z[PLR_JAX_MAX_DIM];
+    uint32_t axis;
+    int is_nan = 0;
+    for (axis = 0; axis < dim; ++axis) {
+        is_nan |= x[axis] != x[axis];
+        z[axis] = x[axis];
+    }
+    return plr_jax_answer(f, z, is_nan, models);
+}
+
 /* The distance to the goal; INFINITY outside the closed domain, NAN for NAN. */
 static inline float plr_jax_distance(const struct plr_jax *f, const float *x)
 {
-    const uint32_t dim = plr_jax_dim(f);
-    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
-    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
-    memcpy(z, x, dim * sizeof *x);
-    if (plr_jax_leaf(f, z, cell, n)) {
-        return plr_jax_value(f, z, cell, n);
-    }
-    for (axis = 0; axis < dim; ++axis) {
-        if (x[axis] != x[axis]) {
-            return NAN;
-        }
-    }
-    return INFINITY;
+    return plr_jax_distance_of(f, x, PLR_JAX_ANY);
 }
 
 /* For cones: the next waypoint on the way to the goal; NAN outside the domain. */
@@ -640,7 +695,7 @@ static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, flo
     float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
     int is_inside;
     memcpy(z, x, dim * sizeof *x);
-    is_inside = plr_jax_leaf(f, z, cell, n);
+    is_inside = plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
     for (axis = 0; axis < dim; ++axis) {
         waypoint[axis] = is_inside ? plr_jax_frame(f, axis, PLR_JAX_LO) + n[1u + axis] : NAN;
     }
@@ -666,22 +721,23 @@ static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, f
     }
 }
 
-/* As plr_jax_distance, for domains far from the origin. */
-static inline float plr_jax_distance_far(const struct plr_jax *f, const double *x)
+/* As plr_jax_distance_of and plr_jax_distance, for domains far from the origin. */
+static inline float plr_jax_distance_far_of(const struct plr_jax *f, const double *x, uint32_t models)
 {
     const uint32_t dim = plr_jax_dim(f);
-    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
-    float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
-    plr_jax_place_far(f, x, z, dim);
-    if (plr_jax_leaf(f, z, cell, n)) {
-        return plr_jax_value(f, z, cell, n);
-    }
+    float z[PLR_JAX_MAX_DIM];
+    uint32_t axis;
+    int is_nan = 0;
     for (axis = 0; axis < dim; ++axis) {
-        if (x[axis] != x[axis]) {
-            return NAN;
-        }
+        is_nan |= x[axis] != x[axis];
     }
-    return INFINITY;
+    plr_jax_place_far(f, x, z, dim);
+    return plr_jax_answer(f, z, is_nan, models);
+}
+
+static inline float plr_jax_distance_far(const struct plr_jax *f, const double *x)
+{
+    return plr_jax_distance_far_of(f, x, PLR_JAX_ANY);
 }
 
 /* As plr_jax_waypoint, for domains far from the origin. */
@@ -692,7 +748,7 @@ static inline void plr_jax_waypoint_far(const struct plr_jax *f, const double *x
     float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
     int is_inside;
     plr_jax_place_far(f, x, z, dim);
-    is_inside = plr_jax_leaf(f, z, cell, n);
+    is_inside = plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
     for (axis = 0; axis < dim; ++axis) {
         waypoint[axis] = is_inside ? plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO) + (double)n[1u + axis] : NAN;
     }
