@@ -213,7 +213,8 @@ class _Image:
             self.planes, filled = self.planes[filled[:, 0] < np.inf], filled[filled[:, 0] < np.inf]
             half = filled[:, [2, 1]] / 2
             self.plane_numbers = np.column_stack([_plane_centers(filled[:, ::4], half), half])
-            coefficients[self.planes] = plane_coefficients(1, self.plane_numbers[:, 0], half)
+            if len(self.planes):
+                coefficients[self.planes] = plane_coefficients(1, self.plane_numbers[:, 0], half)
             numbers = product_in_order(coefficients, monomials(1, 2)).astype(np.float32)
         else:
             codes = corners.reshape(-1, *[2] * self.dim)

@@ -27,6 +27,11 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
+#if defined(__GNUC__)
+#define PLR_JAX_APART static __attribute__((noinline, unused))
+#else
+#define PLR_JAX_APART static inline
+#endif
 #ifndef PLR_JAX_MAX_DIM
 #define PLR_JAX_MAX_DIM 6
 #endif
@@ -409,8 +414,8 @@ static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32
 }
 
 /* The coefficients of a smooth leaf, from the values at its corners, or from a plane if the goal cannot be reached
-   from the leaf. */
-static inline uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
+   from the leaf. Not inline, as it takes more of the stack than all others together. */
+PLR_JAX_APART uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
                                            float *n)
 {
     static const signed char basis[4][4] = {{1, 0, -3, 2}, {0, 1, -2, 1}, {0, 0, 3, -2}, {0, 0, -1, 1}};
