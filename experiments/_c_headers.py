@@ -83,7 +83,7 @@ def compiled_header(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) ->
 
 
 def object_for_size(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) -> Path:
-    """The object file of a program that uses the functions of a header, compiled for size; beside it its stack use."""
+    """The object file of a program that uses a header, compiled for size; the use of the stack is beside it."""
     folder.mkdir(exist_ok=True)
     text = plr.c_header("here", compact)
     real = _name_of(_type_of(text))

@@ -246,11 +246,11 @@ def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(
     if shutil.which("size") is not None and shutil.which("nm") is not None and platform.machine() == "x86_64":
         compiled = object_for_size(plr, tmp_path, compact)
         sizes = section_bytes(compiled)
-        assert 0 < sizes["code"] <= MOST_CODE * (1 + compact)
+        assert 0 < sizes["code"] <= (MOST_CODE if not compact else 6144 if plr.leaf.name == "smooth" else 4096)
         told = int(re.search(r"Compiled, its tables take ([\d,]+) bytes", text)[1].replace(",", ""))
         assert told <= sizes["data"] <= told + 256  # with the constants of its code
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
-        assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_", *["memcpy"] * compact}
+        assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_", *["memcpy", "memset"] * compact}
 
 
 @pytest.mark.full
@@ -293,13 +293,21 @@ def test_no_conversion_is_undefined(name, compact, compiler, tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("leaf", ["plane", "continuous", "cone"])
-def test_compact_headers_of_4_kilobytes_take_16(leaf, tmp_path, compiler):
+@pytest.mark.parametrize(
+    ("leaf", "code", "data", "stack"),
+    [
+        ("plane", 4096, 6144, 1536),
+        ("continuous", 4096, 12288, 1536),
+        ("smooth", 6144, 14848, 4096),
+        ("cone", 4096, 8192, 1536),
+    ],
+)
+def test_compact_headers_are_small(leaf, code, data, stack, tmp_path, compiler):
     problem = scenes.maze()
     oracle = VisibilityGraph(problem.workspace, problem.goals[0])
     plr = construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=4096)
     sizes = section_bytes(compiled := object_for_size(plr, tmp_path, compact=True))
-    assert sizes["code"] <= 4096 and sizes["data"] <= 3 * 4096 and stack_bytes(compiled) <= 1536
+    assert sizes["code"] <= code and sizes["data"] <= data and stack_bytes(compiled) <= stack
     assert plr.num_bytes > 3800 and len(plr.c_bytes()) <= sizes["data"]
 
 

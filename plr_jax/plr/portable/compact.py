@@ -1,7 +1,7 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-The bytes hold the numbers of the file in parts that can be read at any position: fields of equal width replace entropy
-codes, and combinations of many values are replaced by their results. All parts are sequences of bits, lowest first:
+The bytes hold the numbers of the file in parts that can be read at any position. Fields of equal width replace
+entropy codes, and results replace combinations of many values. All parts are sequences of bits, lowest first:
 
     words         18 integers of 32 bits: kind, sizes, and positions of parts in bits (``PLR_JAX_W_MAGIC`` and on)
     frame         nine 32-bit floats for each axis: the domain and its constants (see ``FORMAT.md``)
@@ -10,18 +10,23 @@ codes, and combinations of many values are replaced by their results. All parts 
     tree          a bit for each node, 1 if it is split; then the axis of each split
     levels        for each level of the tree: position and widths of its fields
     fields        integers of leaves or splits, below
-    odd leaves    sorted numbers of leaves that are stored as floats although other leaves are integers
-    rows          numbers of leaves as 32-bit floats
+    odd numbers   leaf and index of numbers that a query does not compute from the fields, sorted
+    planes        smooth leaves that continue a plane: leaf, value at the center and half of the rise along each axis
+    floats        rows of numbers of leaves, or the odd numbers, as 32-bit floats
     CRC-32        of all bytes before it, little-endian
 
 Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
 ``2 s + 2``, and leaf numbers follow from counting splits. A *directory* stores the count before every 64 nodes.
 
-- Planes have the integers of the file.
-- Continuous leaves follow from the corners of the domain. Each split halves edges and stores the values in the *middle*
-  of these edges, from which a query computes the corner values of one half. A middle has the mean of the ends of its
-  edge, or the rounded mean plus a stored difference. At walls, each half has a middle of its own.
-- Cones, smooth leaves and planes of floats have the index of a row.
+- Cones and planes of floats have the index of a row. Other planes have the integers of the file.
+- Continuous leaves follow from the values at the corners of the domain. Each split halves edges and stores the values
+  in the *middle* of these edges, from which a query computes the corner values of one half. A middle has the mean of
+  the ends of its edge, or the rounded mean plus a stored difference. At walls, each half has a middle of its own.
+- Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
+  around them. It takes leaves as tied if their values agree; where that is wrong, numbers are odd.
+
+Odd numbers make all answers equal to those of the file, bit for bit: this module computes all numbers as a query does,
+and stores those that differ, if only by rounding.
 """
 
 import zlib
@@ -158,7 +163,9 @@ class _Image:
         is_cleared = np.count_nonzero(bits, axis=1) < np.count_nonzero(bits != given, axis=1)
         leaf, term = np.nonzero(bits != np.where(is_cleared[:, None], 0, given))
         is_first = np.diff(leaf, prepend=-1) > 0
-        return self._finish(self.numbers[leaf, term], np.stack([leaf, term | (is_first & is_cleared[leaf]) << 8]), flags)
+        return self._finish(
+            self.numbers[leaf, term], np.stack([leaf, term | (is_first & is_cleared[leaf]) << 8]), flags
+        )
 
     def _finish(self, floats: Float[np.ndarray, "floats"], odd: Int[np.ndarray, "2 odd"], flags: int) -> bytes:
         """Append floats and, if a query computes the others, their leaves and terms; return all bytes."""
@@ -178,8 +185,27 @@ class _Image:
         widths = self.axis_bits | self.fraction_bits << 8 | index_bits << 16
         scale = np.array([self.offset, self.step], np.float32).view(np.uint32).tolist()
         data = self.body.to_bytes()
-        words = [_MAGIC, 4 * _NUM_WORDS + len(data) + 4, kind, widths, self.numbers.shape[1], odd.shape[1], len(self.planes), *scale, at_odd]
-        words += [at_planes, self.at_tree, self.at_axes, self.at_levels, self.at_values, at_rows, self.at_folding, self.at_exact]
+        words = [
+            _MAGIC,
+            4 * _NUM_WORDS + len(data) + 4,
+            kind,
+            widths,
+            self.numbers.shape[1],
+            odd.shape[1],
+            len(self.planes),
+            *scale,
+            at_odd,
+        ]
+        words += [
+            at_planes,
+            self.at_tree,
+            self.at_axes,
+            self.at_levels,
+            self.at_values,
+            at_rows,
+            self.at_folding,
+            self.at_exact,
+        ]
         data = np.array(words, "<u4").tobytes() + data
         return data + zlib.crc32(data).to_bytes(4, "little")
 
@@ -206,7 +232,9 @@ class _Image:
         # 1. Compute each leaf's numbers as a query does.
         corners = middles.corners[self.tree.child < 0]
         if self.program.leaf.name == "smooth":
-            coefficients = self.step * _smooth_numbers(self.tree, middles.corners, self.program.contents.domain.periodic)
+            coefficients = self.step * _smooth_numbers(
+                self.tree, middles.corners, self.program.contents.domain.periodic
+            )
             coefficients[:, ::4] += self.offset
             self.planes = np.flatnonzero(self.program.contents.stored.partition.unreachable[self.leaves])
             filled = filled_coefficients(self.program.contents)[self.leaves[self.planes]]
@@ -350,7 +378,12 @@ class _SmoothCorners:
     """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``."""
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
-        self.child, self.axis, self.corners, self.periodic = tree.child.tolist(), tree.axis.tolist(), corners, periodic
+        self.child, self.axis, self.corners, self.periodic = (
+            tree.child.tolist(),
+            tree.axis.tolist(),
+            corners,
+            periodic,
+        )
         self.depth, self.position = tree.cells.depth.tolist(), tree.cells.position.tolist()
         self.known: dict[tuple[tuple[int, int], int], list[float]] = {}
 

@@ -4,7 +4,7 @@
    plr_jax_distance, plr_jax_waypoint: answers at a point. For domains far from the origin, whose points are
    doubles, they have the suffix _far.
 
-   The decoder allocates nothing, keeps no state, and calls only memcpy and sqrtf. Bytes that plr_jax_open accepts are
+   The decoder allocates nothing, keeps no state, and calls only memcpy, memset and sqrtf. Bytes that plr_jax_open accepts are
    never read beyond their end, whatever they hold. Points need at most PLR_JAX_MAX_DIM coordinates.
 
    Answers equal those of plr.numpy() bit for bit if no operations are fused: compile with -ffp-contract=off. */
