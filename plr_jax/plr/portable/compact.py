@@ -25,8 +25,8 @@ Nodes, splits and leaves are numbered in level order. So the children of split `
 - Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
   around them. It takes leaves as tied if their values agree; where that is wrong, numbers are odd.
 
-Odd numbers make all answers equal to those of the file, bit for bit. This module computes all numbers as a query does,
-and stores those that differ, if only by rounding.
+Odd numbers make all answers equal to those of the file, bit for bit: this module computes numbers as a query does,
+and stores all that differ, if only by rounding.
 """
 
 import zlib
