@@ -385,14 +385,14 @@ class _SmoothCorners:
             periodic,
         )
         self.depth, self.position = tree.cells.depth.tolist(), tree.cells.position.tolist()
-        self.known: dict[tuple[tuple[int, int], int], list[float]] = {}
+        self.known: dict[tuple[tuple[int, ...], int], list[float]] = {}
 
-    def __call__(self, point: tuple[int, int], value: int, edges: int) -> list[float]:
+    def __call__(self, point: tuple[int, ...], value: int, edges: int) -> list[float]:
         if (point, value) not in self.known:
             self.known[point, value] = self._numbers(point, value, edges)
         return self.known[point, value]
 
-    def _numbers(self, point: tuple[int, int], value: int, edges: int) -> list[float]:
+    def _numbers(self, point: tuple[int, ...], value: int, edges: int) -> list[float]:
         out, weight = [float(value), 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
         for quadrant in ((0, 0), (1, 0), (0, 1), (1, 1)):
             place = [along - below for along, below in zip(point, quadrant, strict=True)]
