@@ -290,7 +290,7 @@ class PLR(FileBacked):
         """Return the bytes that the decoder in a compact C header reads.
 
         A program can receive such bytes while it runs, and query them without unpacking after ``plr_jax_open``
-        accepted them. In the plane, bytes are one to four times as long as the file.
+        accepted them. In the plane, they are one to four times as long as a file of 1 KB or more.
         """
         return self.numpy().c_bytes()
 
