@@ -76,16 +76,16 @@ def compiled_library(code: str, folder: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def compiled_header(plr: PLR | NumpyPLR, folder: Path) -> CompiledHeader:
+def compiled_header(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) -> CompiledHeader:
     """The header of a PLR."""
-    text = plr.c_header("here")
+    text = plr.c_header("here", compact)
     return CompiledHeader(text, "here", _type_of(text), plr.dim, folder)
 
 
-def object_for_size(plr: PLR | NumpyPLR, folder: Path) -> Path:
-    """The object file of a program that uses the functions of a header, compiled for size."""
+def object_for_size(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) -> Path:
+    """The object file of a program that uses a header, compiled for size; the use of the stack is beside it."""
     folder.mkdir(exist_ok=True)
-    text = plr.c_header("here")
+    text = plr.c_header("here", compact)
     real = _name_of(_type_of(text))
     functions = [f"float f(const {real} *x);\nfloat f(const {real} *x) {{ return here_distance(x); }}\n"]
     if "here_waypoint(" in text:
@@ -93,17 +93,24 @@ def object_for_size(plr: PLR | NumpyPLR, folder: Path) -> Path:
         functions.append(f"void g({arguments});\nvoid g({arguments}) {{ here_waypoint(x, way); }}\n")
     (folder / "size.c").write_text(text + "".join(functions))
     compiled = folder / "size.o"
-    subprocess.run([compiler(), *_C99, "-Os", "-c", str(folder / "size.c"), "-o", str(compiled)], check=True)
+    options = ["-Os", "-fstack-usage", "-c", str(folder / "size.c"), "-o", str(compiled)]
+    subprocess.run([compiler(), *_C99, *options], check=True)
     return compiled
 
 
 def section_bytes(compiled: Path) -> dict[str, int]:
-    """Bytes of code and of constant data of an object file."""
+    """Bytes of code and of data of an object file."""
     listed = subprocess.run(["size", "-A", str(compiled)], check=True, capture_output=True, text=True).stdout
     found = {
-        part: sum(map(int, re.findall(rf"^\.{part}\S*\s+(\d+)", listed, re.MULTILINE))) for part in ("text", "rodata")
+        part: sum(map(int, re.findall(rf"^\.{part}\S*\s+(\d+)", listed, re.MULTILINE)))
+        for part in ("text", "rodata", "data", "bss")
     }
-    return {"code": found["text"], "data": found["rodata"]}
+    return {"code": found.pop("text"), "data": sum(found.values())}
+
+
+def stack_bytes(compiled: Path) -> int:
+    """Bytes of the stack that the functions of an object file take, as if each called the next."""
+    return sum(int(line.split("\t")[1]) for line in compiled.with_suffix(".su").read_text().splitlines())
 
 
 def median_seconds(call, runs: int = _RUNS) -> float:

@@ -15,7 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments._c_headers import CompiledHeader, compiled_header, median_seconds, object_for_size, section_bytes
+from experiments._c_headers import (
+    CompiledHeader,
+    compiled_header,
+    median_seconds,
+    object_for_size,
+    section_bytes,
+    stack_bytes,
+)
 from experiments._measures import timed
 from experiments._runner import Section, run
 from plr_jax import PLR, Box, Euclidean, ReedsShepp, VisibilityGraph, construct, save, scenes
@@ -83,6 +90,35 @@ def _measured(plr: PLR, folder: Path, num_points: int, num_calls: int, seed: int
         "numpy_microseconds": median_seconds(lambda: [f(point) for point in points]) / num_calls * 1e6,
         "numpy_batch_nanoseconds": median_seconds(lambda: f(x), 3) / len(x) * 1e9,
     }
+
+
+# Small machines: for files of 4 KB, what headers of fast tables and compact headers take in flash and on the stack.
+#
+# The decoder of compact headers is counted in each of them. No header has data in memory besides the stack.
+
+SMALL_BYTES, NUM_SMALL = 4_096, 1_000_000
+
+
+def small(seed: int, smoke: bool) -> dict[str, Any]:
+    rows, num_points = [], 10_000 if smoke else NUM_SMALL
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("maze",) if smoke else ("maze", "floor_plan"):
+            problem = getattr(scenes, name)()
+            oracle, domain = VisibilityGraph(problem.workspace, problem.goals[0]), problem.workspace.bounds
+            center, half = (domain.lo + domain.hi) / 2, _WIDER / 2 * domain.width
+            x = (center + half * np.random.default_rng(seed).uniform(-1, 1, (num_points, 2))).astype(np.float32)
+            for leaf in LEAVES:
+                plr = construct(oracle, domain, leaf=leaf, max_bytes=512 if smoke else SMALL_BYTES)
+                expected = plr.numpy()(x).view(np.uint32)
+                for compact in (False, True):
+                    place = Path(folder) / f"{name}_{leaf}_{compact}"
+                    compiled, header = object_for_size(plr, place, compact), compiled_header(plr, place, compact)
+                    row = {"map": name, "leaf": leaf, "leaves": plr.num_leaves, "bytes": plr.num_bytes}
+                    row |= {"compact": compact, **section_bytes(compiled), "stack": stack_bytes(compiled)}
+                    row |= {"equal": float(np.mean(header(x).view(np.uint32) == expected))}
+                    rows.append(row | {"nanoseconds": header.nanoseconds(x)})
+                    print(rows[-1], flush=True)
+    return {"points": num_points, "rows": rows}
 
 
 # ``plr-jax query``: seconds and memory of tables of ten times as many rows, each of two numbers of six decimals.
@@ -236,7 +272,13 @@ def leaves(seed: int, smoke: bool) -> dict[str, Any]:
     return {"points": num_points, "budget": LEAF_BYTES, "rows": rows}
 
 
-SECTIONS = {"readers": Section(readers), "query": Section(queries), "car": Section(car), "leaves": Section(leaves)}
+SECTIONS = {
+    "readers": Section(readers),
+    "small": Section(small),
+    "query": Section(queries),
+    "car": Section(car),
+    "leaves": Section(leaves),
+}
 
 if __name__ == "__main__":
     run("portable", __doc__, SECTIONS)

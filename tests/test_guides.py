@@ -57,7 +57,7 @@ def test_the_examples_of_a_guide_run_from_top_to_bottom(name, tmp_path):
                 line for line in "".join(blocks(PAGES[name], "text")).splitlines() if line.startswith("cc ")
             ]
             subprocess.run([*command.split(), "-o", "main"], cwd=tmp_path, check=True)
-            answer = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
+            answer = subprocess.run(["./main"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
             assert answer == "2.045286, by way of (0.790000, 0.830000)\n"
     for code in blocks(PAGES[name], "js"):
         (tmp_path / "main.mjs").write_text(code)

@@ -238,6 +238,7 @@ def plot(
 @command(
     "plr-jax export maze.plr -o plr_maze.h",
     "plr-jax export maze.plr -o include/maze.h --name level_1",
+    "plr-jax export maze.plr --compact -o maze.h",
     "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
     "plr-jax export maze.plr --js -o maze.mjs",
     "plr-jax export grid.pairs -o grid.h",
@@ -253,6 +254,9 @@ def export(
         str | None,
         typer.Option(help="Prefix of all names in a header.", show_default="the header's name without its ending"),
     ] = None,
+    compact: Annotated[
+        bool, typer.Option("--compact", help="Write a header for small machines: less memory, slower.")
+    ] = False,
 ) -> None:
     """Write a file as code without dependencies, whose answers equal those of query, bit for bit.
 
@@ -267,6 +271,8 @@ def export(
     require_writable(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
     if js and name is not None:
         raise ValueError("--name is for C headers, JavaScript modules have fixed names: leave it out.")
+    if js and compact:
+        raise ValueError("--compact is for C headers: leave it out.")
     is_pairs = _holds_pairs(file)
     content: Any = load(file) if is_pairs else load_numpy(file)
     prefix = output.stem if name is None else name
@@ -275,6 +281,8 @@ def export(
             raise ValueError(f"{file} holds pairs of cells of a grid, which only C headers support: leave out --js.")
         if goal is not None:
             raise ValueError(f"{file} holds pairs of cells of a grid, whose code answers any goal: leave out --goal.")
+        if compact:
+            raise ValueError(f"{file} holds pairs of cells of a grid, whose code is small: leave out --compact.")
         require_writable(tables := output.with_suffix(".tables"), inputs=(file,))
         header = content.c_header(prefix)
         write_atomically(tables, header.table)
@@ -285,7 +293,7 @@ def export(
         content = _distance_to_goal(content, file, goal)
     elif goal is not None:
         raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
-    text = content.js_module() if js else content.c_header(prefix)
+    text = content.js_module() if js else content.c_header(prefix, compact)
     write_atomically(output, text.encode())
     (tables,) = [None] if js else re.findall(r"tables take ([\d,]+) bytes", text)
     compiled = "" if js else f", {tables} of tables when it is compiled"

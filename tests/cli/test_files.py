@@ -76,6 +76,8 @@ def test_export_writes_a_header(plane, tmp_path):
     done("export", plane, "--c", "-o", tmp_path / "b.h", "--name", "level_1")
     for name in ("level_1.h", "b.h"):
         assert (tmp_path / name).read_text() == load(plane).c_header("level_1")
+    done("export", plane, "--compact", "-o", tmp_path / "small.h")
+    assert (tmp_path / "small.h").read_text() == load(plane).c_header("small", compact=True)
     assert "a C identifier" in mistake("export", plane, "--c", "-o", tmp_path / "1.h")
     assert "leave out --goal" in mistake("export", plane, "--goal", "0,0", "-o", tmp_path / "a.h")
     assert "must end in .h" in mistake("export", plane, "--c", "-o", tmp_path / "a.txt")
@@ -86,7 +88,8 @@ def test_export_writes_a_module(plane, tmp_path):
     assert "bytes of text" in done("export", plane, "--js", "-o", tmp_path / "maze.mjs")
     assert (tmp_path / "maze.mjs").read_text() == load(plane).js_module()
     assert "must end in .mjs" in mistake("export", plane, "--js", "-o", tmp_path / "a.h")
-    assert "--name is for C headers" in mistake("export", plane, "--js", "--name", "a", "-o", tmp_path / "a.mjs")
+    for option in (("--name", "a"), ("--compact",)):
+        assert f"{option[0]} is for C headers" in mistake("export", plane, "--js", *option, "-o", tmp_path / "a.mjs")
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +124,7 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
         (["export", grid, "--js", "-o", tmp_path / "a.mjs"], "cells of a grid, which only C headers support"),
         (["export", points, "-o", tmp_path / "a.h"], "any two points: give one of them with --goal"),
         (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "leave out --goal"),
+        (["export", grid, "--compact", "-o", tmp_path / "a.h"], "leave out --compact"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one of them with --goal"),
         (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "--kind must be distance"),
         (["query", points, "--gradient"], "--gradient needs a file of a PLR"),

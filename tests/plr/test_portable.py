@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import zlib
 
 import jax
 import numpy as np
@@ -13,9 +14,9 @@ import pytest
 from portable_helpers import CASES, SlowReader, case, hard_points, is_far, same_bits
 from vectors import FOLDER, read_vector, vector_names
 
-from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes
+from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, VoxelSpace, construct, load, load_numpy, solve_eikonal
+from plr_jax import Box, VisibilityGraph, VoxelSpace, construct, load, load_numpy, scenes, solve_eikonal
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
@@ -222,62 +223,183 @@ KINDS += ", values in six dimensions, around, smooth around, folded car of plane
 KINDS += ", far folded car"
 
 
+COMPACT = pytest.mark.parametrize("compact", [False, True], ids=["tables", "compact"])
+
+
 @pytest.mark.full
+@COMPACT
 @pytest.mark.parametrize("name", KINDS.split(", "))
-def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(name, tmp_path, compiler):
+def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(name, compact, tmp_path, compiler):
     plr = case(name)
-    in_c, f, x = compiled_header(plr, tmp_path), plr.numpy(), hard_points(plr, 20_000)
+    in_c, f, x = compiled_header(plr, tmp_path, compact), plr.numpy(), hard_points(plr, 20_000)
     assert in_c.real == x.dtype and same_bits(in_c(x), f(x))
     if plr.leaf.name == "cone":
         assert same_bits(in_c.waypoints(x), f.waypoint(x))
-    text = plr.c_header("plr_here")
+    text = plr.c_header("plr_here", compact)
     real = re.search(r"float plr_here_distance\(const (float|double) x\[", text)[1]
     assert real == ("double" if is_far(plr) else "float")
-    assert f"\n   Coordinates are {real}: " in text[: text.index("*/")]
+    assert f"\n   Coordinates are {real}: " in text
     if (plus := shutil.which("c++")) is not None:
         (tmp_path / "plr_here.h").write_text(text)
         (tmp_path / "a.cpp").write_text('#include "plr_here.h"\n#include "plr_here.h"\nint main() { return 0; }\n')
         subprocess.run([plus, *STRICT, "-fsyntax-only", tmp_path / "a.cpp"], check=True)
     if shutil.which("size") is not None and shutil.which("nm") is not None and platform.machine() == "x86_64":
-        compiled = object_for_size(plr, tmp_path)
+        compiled = object_for_size(plr, tmp_path, compact)
         sizes = section_bytes(compiled)
-        assert 0 < sizes["code"] <= MOST_CODE
+        assert 0 < sizes["code"] <= (MOST_CODE if not compact else 6144 if plr.leaf.name == "smooth" else 4096)
         told = int(re.search(r"Compiled, its tables take ([\d,]+) bytes", text)[1].replace(",", ""))
         assert told <= sizes["data"] <= told + 256  # with the constants of its code
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
-        assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_"}
+        assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_", *["memcpy", "memset"] * compact}
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("compact", [(False, False), (False, True), (True, True)])
 @pytest.mark.parametrize("names", [("a", "b"), ("a", "A"), ("a", "a_H"), ("Maze", "maze")])
-def test_two_headers_live_side_by_side(names, tmp_path, compiler):
-    text = "".join(case(of).c_header(name) for of, name in zip(("folded car", "maze of cones"), names, strict=True))
+def test_two_headers_live_side_by_side(names, compact, tmp_path, compiler):
+    headers = zip(("folded car", "maze of cones"), names, compact, strict=True)
+    text = "".join(case(of).c_header(name, is_compact) for of, name, is_compact in headers)
     call = "".join(f"{name}_distance(&x[{i}]) + " for i, name in enumerate(names))
     main = f"int main(void) {{ static const float x[4] = {{0}}; return {call}0 > 0; }}\n"
     (tmp_path / "a.c").write_text(text + main)
     subprocess.run([compiler, "-std=c99", *STRICT, "-fsyntax-only", tmp_path / "a.c"], check=True)
 
 
+@COMPACT
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("name", ["", "1a", "a b", "a-b", "é", None, "_a", "a;"])
-def test_names_are_identifiers(name):
+def test_names_are_identifiers(name, compact):
     with pytest.raises(ValueError, match="a C identifier"):
-        case("one leaf").c_header(name)
+        case("one leaf").c_header(name, compact)
 
 
 @pytest.mark.full
+@COMPACT
 @pytest.mark.parametrize("name", ["far around", "far folded car", "around"])
-def test_no_conversion_is_undefined(name, compiler, tmp_path):
+def test_no_conversion_is_undefined(name, compact, compiler, tmp_path):
     """Of numbers that are none and infinite ones, too: what no integer holds is not converted to one."""
     plr = case(name)
     rows = ", ".join("{" + ", ".join([value] * plr.dim) + "}" for value in ("NAN", "INFINITY", "-INFINITY", "1e30f"))
     real = "double" if is_far(plr) else "float"
     main = f"int main(void) {{ static const {real} x[4][{plr.dim}] = {{{rows}}}; int i, finite = 0;"
     main += " for (i = 0; i < 4; ++i) finite += here_distance(x[i]) < INFINITY; return finite; }"
-    (tmp_path / "a.c").write_text(plr.c_header("here") + main)
+    (tmp_path / "a.c").write_text(plr.c_header("here", compact) + main)
     traps = ["-fsanitize=float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
     subprocess.run([compiler, "-std=c99", *traps, "a.c", "-o", "a", "-lm"], cwd=tmp_path, check=True)
     subprocess.run(["./a"], cwd=tmp_path, check=True)
+
+
+# Compact bytes are small, are read while a program runs, and do no harm if they are damaged.
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("leaf", "code", "data", "stack"),
+    [
+        ("plane", 4096, 6144, 1536),
+        ("continuous", 4096, 12288, 1536),
+        ("smooth", 6144, 14848, 4096),
+        ("cone", 4096, 8192, 1536),
+    ],
+)
+def test_compact_headers_are_small(leaf, code, data, stack, tmp_path, compiler):
+    problem = scenes.maze()
+    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+    plr = construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=4096)
+    sizes = section_bytes(compiled := object_for_size(plr, tmp_path, compact=True))
+    assert sizes["code"] <= code and sizes["data"] <= data and stack_bytes(compiled) <= stack
+    assert plr.num_bytes > 3800 and len(plr.c_bytes()) <= sizes["data"]
+
+
+READER = """
+#include <stdio.h>
+#include <stdlib.h>
+
+int main(void)
+{
+    uint32_t size, i, axis;
+    while (fread(&size, 4, 1, stdin) == 1) {
+        unsigned char *bytes = (unsigned char *)malloc(size ? size : 1); /* so that no byte behind them may be read */
+        struct plr_jax f;
+        int error;
+        if (fread(bytes, 1, size, stdin) != size) {
+            return 1;
+        }
+        error = plr_jax_open(&f, bytes, size);
+        printf("%d", error);
+        for (i = 0; !error && i < 40u; ++i) {
+            float x[PLR_JAX_MAX_DIM], way[PLR_JAX_MAX_DIM];
+            double y[PLR_JAX_MAX_DIM], far_way[PLR_JAX_MAX_DIM];
+            for (axis = 0; axis < plr_jax_dim(&f); ++axis) {
+                y[axis] = (double)((i * 7u + axis * 11u) & 31u) / 31.0;
+                x[axis] = (float)y[axis];
+            }
+            printf(" %.9g", (double)plr_jax_distance(&f, x));
+            if (plr_jax_is_far(&f)) {
+                plr_jax_waypoint_far(&f, y, far_way);
+                (void)plr_jax_distance_far(&f, y);
+            } else {
+                plr_jax_waypoint(&f, x, way);
+            }
+        }
+        printf("\\n");
+        free(bytes);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.fixture
+def read_in_c(tmp_path, compiler):
+    """A function from byte strings to the lines that ``READER`` prints of them; memory errors end it."""
+    (tmp_path / "reader.c").write_text(case("one leaf").c_header("here", compact=True) + READER)
+    traps = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
+    subprocess.run(
+        [compiler, "-std=c99", *STRICT, *traps, "reader.c", "-o", "reader", "-lm"], cwd=tmp_path, check=True
+    )
+
+    def read(every):
+        given = b"".join(len(data).to_bytes(4, "little") + data for data in every)
+        done = subprocess.run([tmp_path / "reader"], input=given, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr.decode()
+        return done.stdout.decode().splitlines()
+
+    return read
+
+
+def with_checksum(data):
+    return data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little")
+
+
+@pytest.mark.full
+def test_bytes_are_read_while_a_program_runs_and_refused_if_damaged(read_in_c):
+    names = ("maze of planes", "maze of values", "maze of gradients", "maze of cones")
+    every = [case(name).c_bytes() for name in names]
+    x = np.array([[i * 7 & 31, (i * 7 + 11) & 31] for i in range(40)]) / 31
+    for name, line in zip(names, read_in_c(every), strict=True):
+        error, *answers = line.split()
+        assert error == "0" and same_bits(np.array(answers, np.float32), case(name).numpy()(x.astype(np.float32)))
+    data = every[0]
+    flipped = data[:99] + bytes([data[99] ^ 1]) + data[100:]
+    wide = case("random planes").c_bytes()
+    wide = with_checksum(wide[:8] + bytes([7]) + wide[9:])
+    damaged = [b"", data[:3], b"P\xb5" + data[2:], data[:-1], data + b"\0", data[:50], flipped, wide]
+    assert read_in_c(damaged) == ["1", "1", "1", "2", "2", "2", "3", "4"]
+
+
+@pytest.mark.full
+def test_damaged_bytes_are_never_read_beyond_their_end(read_in_c):
+    """With a checksum that fits them; sanitizers watch every access, shift and sum."""
+    rng, every = np.random.default_rng(0), []
+    for name in CASES:
+        data = np.frombuffer(case(name).c_bytes(), np.uint8)
+        for _ in range(60):
+            changed = data.copy()
+            where = rng.integers(8, min(len(data), rng.choice([64, 400, len(data)])), rng.integers(1, 5))
+            changed[where] = rng.integers(0, 256, len(where))
+            every.append(with_checksum(changed.tobytes()))
+    assert sum(line[0] == "0" for line in read_in_c(every)) > len(every) / 2
 
 
 # Modules of JavaScript answer as ``plr.numpy()`` does, to the bit, and need nothing else.

@@ -18,7 +18,8 @@ from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
 from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
-from plr_jax.plr.portable.c import c_header
+from plr_jax.plr.portable.c import c_header, compact_header
+from plr_jax.plr.portable.compact import compact_bytes
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
 
@@ -239,9 +240,13 @@ class NumpyPLR:
         """Return the bytes of the file."""
         return self._data
 
-    def c_header(self, name: str) -> str:
+    def c_header(self, name: str, compact: bool = False) -> str:
         """Return the PLR as a C99 header; see :meth:`PLR.c_header`."""
-        return c_header(self._program, name)
+        return (compact_header if compact else c_header)(self._program, name)
+
+    def c_bytes(self) -> bytes:
+        """Return the bytes that the decoder in compact C headers reads; see :meth:`PLR.c_bytes`."""
+        return compact_bytes(self._program)
 
     def js_module(self) -> str:
         """Return the PLR as a JavaScript module; see :meth:`PLR.js_module`."""
