@@ -23,6 +23,7 @@ Each guide is about one task and has examples that run. Together they show all p
 - `plr_jax.guides.inside_jit`: `grid_distance`, on maps that are drawn inside `jit`.
 - `plr_jax.guides.changing_map`: `Workspace.with_obstacles`, `VisibilityGraph.with_workspace`, `PLR.updated`.
 - `plr_jax.guides.costs_and_volumes`: `solve_eikonal`; cost maps, voxels, bodies, arms.
+- `plr_jax.guides.cost_distance`: `cost_distance` over rasters, for GIS.
 - `plr_jax.guides.teams`: `bl_plan`, `validate`, `replan`, `lifelong`.
 - `plr_jax.guides.follow_the_field`: `descend`, `trace`, gradients.
 - `plr_jax.guides.c_and_javascript`: `PLR.c_header`, `PLR.js_module`, `load_numpy`.

@@ -5,6 +5,7 @@
 - `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are drawn inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.
 - `plr_jax.guides.costs_and_volumes`: cost maps, voxels, bodies, arms; no oracle needed.
+- `plr_jax.guides.cost_distance`: travel times over rasters to the nearest of several sources, for GIS.
 - `plr_jax.guides.teams`: plans for one robot or a team, also after changes while robots move.
 - `plr_jax.guides.follow_the_field`: paths and directions to the goal.
 - `plr_jax.guides.c_and_javascript`: queries without JAX.
