@@ -2,6 +2,7 @@ from . import any_two_points as any_two_points
 from . import c_and_javascript as c_and_javascript
 from . import changing_map as changing_map
 from . import command_line as command_line
+from . import cost_distance as cost_distance
 from . import costs_and_volumes as costs_and_volumes
 from . import distance_function as distance_function
 from . import follow_the_field as follow_the_field
