@@ -21,7 +21,6 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.sampling import sample_pattern
 from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
@@ -93,7 +92,8 @@ def construct_many(
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, Cone) and is_plane and is_limited and options == DEFAULT_OPTIONS
+    as_family = isinstance(model, Cone) and is_plane and is_limited and limits.tolerance == 0
+    as_family &= options == DEFAULT_OPTIONS
     checkpoint_file = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
@@ -119,13 +119,10 @@ def construct_many(
     chunks: list[Chunk] = []
     for numbers in families.values():
         first = oracles[numbers[0]]
-        if as_family and isinstance(first, FamilyFn):
-            pattern = sample_pattern(domain.dim, model.num_samples, 0, int(seed))  # for choosing visible sources
-            work = partial(_family_files, family_task(first, domain, limits, pattern), leaf_model(model.name), proof)
-            parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
-            chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
-        else:
-            chunks.append((numbers, partial(_file_alone, alone, first)))
+        task = family_task(first, domain, limits) if as_family and isinstance(first, FamilyFn) else None
+        work = partial(_files, alone, task, leaf_model(model.name))
+        parts = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
+        chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
     with tqdm(
         desc="construct_many",
         unit=" PLRs",
@@ -143,16 +140,18 @@ def construct_many(
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
-def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
+def _files(
+    alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
+) -> list[bytes]:
+    """Build files of members of a family; without a task, or if no shared sample reaches a goal, build them alone."""
     files = []
-    for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
-        contents = DecodedFile(task.domain, leaf, tree, stored)
-        if proof is not Proof.NONE:
+    for oracle in oracles:
+        if task is None or (found := task(oracle)) is None:
+            files.append(alone(oracle).to_bytes())
+            continue
+        contents = DecodedFile(task.domain, leaf, *found)
+        if task.limits.proof is not Proof.NONE:
             root = oracle.cell_sources(grown_domain(task.domain))
-            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+            contents = replace(contents, certificate=certificate_of(contents, root, task.limits.proof))
         files.append(encode(contents))
     return files
-
-
-def _file_alone(build: Callable[[DistanceFn], Any], oracle: DistanceFn) -> list[bytes]:
-    return [build(oracle).to_bytes()]

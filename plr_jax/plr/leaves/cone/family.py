@@ -1,0 +1,313 @@
+"""Find the best partitions into cone leaves for many goals of one workspace, from samples that all goals share.
+
+A grid of boxes has one sample of free space each, and the corners that each sample sees are the same for all goals.
+So for one goal, the distances at all samples take one addition per pair of a sample and a corner.
+
+1. Every dyadic box gets the cone of the smallest mean error at its samples (``fit_boxes``). Candidates are the best
+   sources of the box's halves. Most boxes use one source at all samples and have no error.
+2. Dynamic programming finds the tree that minimizes error plus a price per leaf. The price is adjusted until the
+   file fills the limits (``_largest_tree``).
+3. Leaves change to sources that they see, if errors hardly grow (``change_sources``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._types import FamilyFn, Sources
+from plr_jax.geometry.box import Box
+from plr_jax.plr.best_partition import LEAST_SHARE, LEAST_SHARE_PROVEN, MAX_ASPECT_BITS
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.growth import BudgetTooSmall, Limits
+from plr_jax.plr.leaves.cone.codec import ConeFiles
+from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ConeTree, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.tree import MAX_DEPTH, Cells, tree_of_axes
+
+_LEAST_HALVINGS, _MOST_HALVINGS = 5, 9  # of the grid of samples, along each axis
+_SAMPLES_A_LEAF = 16
+_BITS_A_LEAF, _BITS_A_SOURCE, _MOST_OF_SOURCES = 4.4, 43, 0.85  # estimates for the number of leaves
+_MOST_SAMPLES = 64  # of a box that are evaluated; fewer are biased towards few rows and columns of the grid
+_AT_ONCE = 1 << 14  # pairs of a sample and a source whose arrays stay in a core's cache
+
+Shape: TypeAlias = tuple[int, int]
+"""Number of halvings of a box along each axis."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """All dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, from large to small.
+
+    Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
+    """
+
+    halvings: int
+
+    @cached_property
+    def first(self) -> dict[Shape, int]:
+        """Number of the first box of each shape."""
+        shapes = [s for s in product(range(self.halvings + 1), repeat=2) if abs(s[0] - s[1]) <= MAX_ASPECT_BITS]
+        shapes.sort(key=sum)
+        return dict(zip(shapes, np.cumsum([0, *(1 << sum(s) for s in shapes[:-1])]).tolist(), strict=True))
+
+    @property
+    def num_boxes(self) -> int:
+        (*_, last), first = self.first, self.first
+        return first[last] + (1 << sum(last))
+
+    def of_shape(self, values: Any, shape: Shape) -> Any:
+        """Return a view of the values of all boxes of one shape, with one axis for each axis of the domain."""
+        begin = self.first[shape]
+        return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
+
+    def halves(self, values: Any, shape: Shape, axis: int) -> tuple[Any, Any] | None:
+        """Return the values of the lower and upper halves of all boxes of one shape; None if these are not boxes."""
+        half = shape[0] + (axis == 0), shape[1] + (axis == 1)
+        if half not in self.first:
+            return None
+        of_halves = self.of_shape(values, half)
+        return (of_halves[::2], of_halves[1::2]) if axis == 0 else (of_halves[:, ::2], of_halves[:, 1::2])
+
+    @cached_property
+    def child(self) -> Int[np.ndarray, "2 boxes 2"]:
+        """The lower and upper half of each box along each axis, -1 if these are not boxes of the lattice."""
+        found, number = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
+        for shape, axis in product(self.first, range(2)):
+            if halves := self.halves(number, shape, axis):
+                begin = self.first[shape]
+                found[axis, begin : begin + (1 << sum(shape))] = np.stack(halves, axis=-1).reshape(-1, 2)
+        return found
+
+    @cached_property
+    def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
+        """For each shape, the first sample of each box, and what to add for each of its samples to evaluate.
+
+        Larger boxes are evaluated at a Hammersley set, which covers all rows and columns of a box about evenly.
+        """
+        found, row = {}, 1 << self.halvings
+        for shape in self.first:
+            size = np.array([1 << (self.halvings - along) for along in shape])
+            count = min(_MOST_SAMPLES, int(size.prod()))
+            place = np.stack(np.divmod(np.arange(count), size[1]))
+            if count < size.prod():
+                bits = (np.arange(count)[:, None] >> np.arange(count.bit_length() - 1)) & 1
+                reversed_bits = bits @ (count >> np.arange(1, count.bit_length()))
+                place = ((np.stack([np.arange(count), reversed_bits]) + 0.5) * (size[:, None] / count)).astype(int)
+            box = np.stack(np.divmod(np.arange(1 << sum(shape)), 1 << shape[1])) * size[:, None]
+            found[shape] = box[0] * row + box[1], place[0] * row + place[1]
+        return found
+
+
+class GoalSamples(NamedTuple):
+    """The samples of a family as one goal sees them: places, distance (0 if there is no path), weight and source."""
+
+    table: Float[np.ndarray, "samples 4"]
+    source: Int[np.ndarray, "samples"]
+    sources: Sources
+
+
+@dataclass(frozen=True, eq=False)
+class BoxFits:
+    """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error."""
+
+    source: Int[np.ndarray, "boxes"]
+    integral: Float[np.ndarray, "boxes"]
+    largest: Float[np.ndarray, "boxes"]
+    is_mixed: Bool[np.ndarray, "boxes"]
+
+
+def above_cones(
+    goal: GoalSamples, first: Int[np.ndarray, "options"], offset: Int[np.ndarray, "k"], source: Int[np.ndarray, "options"]
+) -> tuple[Float[np.ndarray, "options k"], Float[np.ndarray, "options k"]]:
+    """Return distances minus cones of sources at samples ``first[i] + offset[j]``, and the samples' weights."""
+    x, y, distance, weight = np.moveaxis(goal.table[first[:, None] + offset], 2, 0)
+    point = goal.sources.points[source]
+    dx, dy = x - point[:, :1], y - point[:, 1:]
+    return distance - goal.sources.distances[source, None] - np.sqrt(dx * dx + dy * dy), weight
+
+
+def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
+    """Find each box's best source, of those that are best in its halves; errors up to ``negligible`` count as 0."""
+    num = lattice.num_boxes
+    source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
+    integral, largest = np.zeros(num), np.zeros(num)
+    source[-len(goal.source) :] = most[-len(goal.source) :] = goal.source  # the smallest boxes are the last
+    least[-len(goal.source) :] = np.where(goal.source < 0, len(goal.sources.points), goal.source)
+    for shape in list(lattice.first)[-2::-1]:
+        halves = [axis for axis in range(2) if lattice.halves(source, shape, axis)]
+        here = slice(lattice.first[shape], lattice.first[shape] + (1 << sum(shape)))
+        lattice.of_shape(least, shape)[:] = np.minimum(*lattice.halves(least, shape, halves[0]))
+        lattice.of_shape(most, shape)[:] = source_here = np.maximum(*lattice.halves(most, shape, halves[0]))
+        lattice.of_shape(source, shape)[:] = source_here
+        mixed = np.flatnonzero(least[here] < most[here])
+        tried = [each.ravel()[mixed] for axis in halves for each in lattice.halves(source, shape, axis)]
+        tried = np.sort(np.stack(tried, axis=1), axis=1)
+        is_new = tried >= 0
+        is_new[:, 1:] &= tried[:, 1:] != tried[:, :-1]
+        box, column = np.nonzero(is_new)
+        first, offset = lattice.samples[shape]
+        of_option = np.full((2, *tried.shape), np.inf)
+        at_once = max(1, _AT_ONCE // len(offset))
+        for begin in range(0, len(box), at_once):
+            some = slice(begin, begin + at_once)
+            above, weight = above_cones(goal, first[mixed[box[some]]], offset, tried[box[some], column[some]])
+            error = np.abs(above, out=above)
+            of_option[1, box[some], column[some]] = np.max(error * (weight > 0), axis=1)
+            of_option[0, box[some], column[some]] = (error * weight).sum(axis=1)
+        best = of_option[0].argmin(axis=1)
+        each, place = np.arange(len(mixed)), mixed + here.start
+        source[place] = tried[each, best]
+        mean, worst = of_option[:, each, best]
+        counts = worst > negligible
+        integral[place] = np.where(counts, mean, 0.0) / (len(offset) << sum(shape))
+        largest[place] = np.where(counts, worst, 0.0)
+    return BoxFits(source, integral, largest, least < most)
+
+
+class SampledTree(NamedTuple):
+    """The best tree at a price: split axes of nodes by level (-1: leaf), and the boxes of leaves in tree order."""
+
+    axes: list[Int[np.ndarray, "_"]]
+    box: Int[np.ndarray, "leaves"]
+
+
+def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:
+    """Return the tree of least total cost of its leaves plus a price per leaf, by dynamic programming."""
+    total, choice = costs + price, np.full(len(costs), -1, np.int8)
+    for shape in list(lattice.first)[::-1]:
+        if sum(shape) < max_depth:
+            here, axis_here = lattice.of_shape(total, shape), lattice.of_shape(choice, shape)
+            for axis in range(2):
+                if halves := lattice.halves(total, shape, axis):
+                    both = halves[0] + halves[1]
+                    cheaper = both < here
+                    here[cheaper], axis_here[cheaper] = both[cheaper], axis
+    axes, leaves, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+    while len(here):
+        axis = choice[here].astype(np.int64)
+        is_leaf, depth = axis < 0, len(axes)
+        axes.append(axis)
+        leaves.append(here[is_leaf])
+        paths.append(path[is_leaf])
+        here = lattice.child[axis[~is_leaf], here[~is_leaf]].ravel()
+        path = (path[~is_leaf, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+    return SampledTree(axes, np.concatenate(leaves)[np.argsort(np.concatenate(paths))])
+
+
+_ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
+_ROOM = 64  # one byte in this many is reserved for changes to visible sources
+_FIRST_RATE, _LEAST_PRICE = 2.2, 1e-15  # price ~ leaves**-2.2, at first; share of the first one that is as good as 0
+_STEEPEST, _FLATTEST = 3.0, 0.4  # bounds of the rate at which the price falls with the size of the file
+
+
+def _largest_tree(
+    lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
+) -> SampledTree:
+    """Return the largest tree found within the limits at some price; about ``num_leaves`` are expected."""
+    least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
+    costs = fits.integral + least_share * fits.largest
+    largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
+    if (num_bytes := files.num_bytes(fits.source[:1], limits)) > limits.max_bytes:
+        raise BudgetTooSmall(limits.max_bytes, num_bytes)
+    price = float(costs[0]) * num_leaves**-_FIRST_RATE
+    least_price, tried = _LEAST_PRICE * price, []
+    for _ in range(_ATTEMPTS):
+        tree = best_tree(lattice, costs, max(price, least_price), limits.max_depth)
+        num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
+        share = max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)
+        if share <= 1 and len(tree.box) >= len(largest.box):
+            largest = tree
+        if _FULL <= share <= 1 or (share <= 1 and price <= least_price) or price <= 0:
+            break
+        # Interpolate between the prices of the best tree that fits and the one that does not, or extrapolate.
+        tried.append((float(np.log(price)), float(np.log(share))))
+        within, beyond = ([each for each in tried if (each[1] > 0) == side] for side in (False, True))
+        if within and beyond:
+            (high, below), (low, above) = min(within), max(beyond)
+            aim = np.clip(below / (below - above), 0.1, 0.9) if len(tried) % 3 else 0.5
+            price = float(np.exp(high + aim * (low - high)))
+        else:
+            (here, excess), (before, other) = tried[-1], tried[max(len(tried) - 2, 0)]
+            rate = (before - here) / (excess - other) if excess != other else _FIRST_RATE
+            price = float(np.exp(here + np.clip(rate, _FLATTEST, _STEEPEST) * (excess + np.sign(excess) * 0.05)))
+    return largest
+
+
+def _options(lattice: Lattice, goal: GoalSamples, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
+    """Return the sources of the samples of leaves that use several sources, and their errors at these samples."""
+    options, count = [], len(goal.sources.points)
+    starts, shapes = np.array(list(lattice.first.values())), list(lattice.first)
+    mixed = np.flatnonzero(fits.is_mixed[box])
+    of_shape = np.searchsorted(starts, box[mixed], side="right") - 1
+    for number in np.unique(of_shape):
+        leaf = mixed[of_shape == number]
+        first, offset = lattice.samples[shapes[number]]
+        first = first[box[leaf] - starts[number]]
+        used = goal.source[first[:, None] + offset]
+        own = fits.source[box[leaf]]
+        key = (np.arange(len(leaf))[:, None] * count + used)[used >= 0]
+        row, source = np.divmod(np.unique(np.append(key, np.arange(len(leaf)) * count + own)), count)
+        above, weight = above_cones(goal, first[row], offset, source)
+        size = weight.sum(axis=1)
+        error = np.abs(above)
+        integral = (error * weight).sum(axis=1)
+        hidden = ((above > shortfall) * weight).sum(axis=1)
+        options.append(
+            (leaf[row], source, source == own[row], hidden == 0, integral / size, hidden / size)
+            + (np.max(error * (weight > 0), axis=1), integral, size / (len(offset) << sum(shapes[number])))
+        )
+    return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyTask:
+    """A builder of cone leaves for oracles of one family (goals of one workspace)."""
+
+    shared: Any
+    lattice: Lattice
+    domain: Box
+    limits: Limits
+    num_leaves: float
+
+    def __call__(self, oracle: FamilyFn) -> ConeTree | None:
+        """Return the best cones for one goal; None if no sample reaches it."""
+        distance, source = oracle.first_turns(self.shared)
+        reached = np.isfinite(distance)
+        if not reached.any():
+            return None
+        table = np.column_stack([np.nan_to_num(self.shared.x), np.where(reached, distance, 0.0)])
+        table = np.column_stack([table, np.where(reached, self.shared.weight, 0.0)])
+        goal = GoalSamples(table, source.astype(np.int32), oracle.sources)
+        fits = fit_boxes(self.lattice, goal, query_resolution(distance))
+        files = ConeFiles(oracle.sources, self.domain)
+        tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
+        options = _options(self.lattice, goal, fits, tree.box, LEAST_SHORTFALL * float(self.domain.width.max()))
+        total, most = float(fits.integral[tree.box].sum()), float(fits.largest[tree.box].max())
+        view = change_sources(
+            fits.source[tree.box],
+            options,
+            total,
+            most,
+            lambda view: files.num_bytes(view, self.limits) <= self.limits.max_bytes,
+        )
+        return tree_of_axes(tree.axes, 2), files.stored(view)
+
+
+def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
+    """Make the builder for the family of the oracle ``first``; None if samples are too few for such large trees."""
+    # Estimate the number of leaves that the limits allow.
+    bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
+    of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)
+    of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
+    num_leaves = max(1.0, min(limits.max_leaves, (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
+    halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
+    if halvings > _MOST_HALVINGS:
+        return None
+    halvings = min(halvings, limits.max_axis_depth)
+    place = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
+    cells = Cells(np.full(place.shape, halvings), place)
+    return FamilyTask(first.shared_samples(*cells.boxes(domain)), Lattice(halvings), domain, limits, num_leaves)
