@@ -200,7 +200,7 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float,
 
 _ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
-_FIRST_RATE, _LEAST_PRICE = 2.2, 1e-15  # price ~ leaves**-2.2, at first; share of the first one that is as good as 0
+_FIRST_RATE, _FIRST_SHARE, _LEAST_PRICE = 2.2, 0.5, 1e-15  # price ~ leaves**-2.2, at first; share of the first one that is as good as 0
 _STEEPEST, _FLATTEST = 3.0, 0.4  # bounds of the rate at which the price falls with the size of the file
 
 
@@ -213,7 +213,7 @@ def _largest_tree(
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     if (num_bytes := files.num_bytes(fits.source[:1], limits)) > limits.max_bytes:
         raise BudgetTooSmall(limits.max_bytes, num_bytes)
-    price = float(costs[0]) * num_leaves**-_FIRST_RATE
+    price = float(costs[0]) * (_FIRST_SHARE * num_leaves) ** -_FIRST_RATE
     least_price, tried = _LEAST_PRICE * price, []
     for _ in range(_ATTEMPTS):
         tree = best_tree(lattice, costs, max(price, least_price), limits.max_depth)
@@ -269,6 +269,7 @@ class FamilyTask:
 
     shared: Any
     lattice: Lattice
+    files: ConeFiles
     domain: Box
     limits: Limits
     num_leaves: float
@@ -283,7 +284,7 @@ class FamilyTask:
         table = np.column_stack([table, np.where(reached, self.shared.weight, 0.0)])
         goal = GoalSamples(table, source.astype(np.int32), oracle.sources)
         fits = fit_boxes(self.lattice, goal, query_resolution(distance))
-        files = ConeFiles(oracle.sources, self.domain)
+        files = self.files.of_goal(oracle.sources)
         tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
         options = _options(self.lattice, goal, fits, tree.box, LEAST_SHORTFALL * float(self.domain.width.max()))
         total, most = float(fits.integral[tree.box].sum()), float(fits.largest[tree.box].max())
@@ -310,4 +311,5 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | No
     halvings = min(halvings, limits.max_axis_depth)
     place = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
     cells = Cells(np.full(place.shape, halvings), place)
-    return FamilyTask(first.shared_samples(*cells.boxes(domain)), Lattice(halvings), domain, limits, num_leaves)
+    shared, files = first.shared_samples(*cells.boxes(domain)), ConeFiles(first.sources, domain)
+    return FamilyTask(shared, Lattice(halvings), files, domain, limits, num_leaves)
