@@ -110,6 +110,14 @@ class GoalSamples(NamedTuple):
     sources: Sources
 
 
+def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
+    """Return the samples that a family shares as one of its oracles sees them."""
+    distance, source = oracle.first_turns(shared)
+    reached = source >= 0
+    columns = [np.nan_to_num(shared.x), np.where(reached, distance, 0.0), np.where(reached, shared.weight, 0.0)]
+    return GoalSamples(np.column_stack(columns), source.astype(np.int32), oracle.sources)
+
+
 @dataclass(frozen=True, eq=False)
 class BoxFits:
     """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error."""
@@ -200,8 +208,8 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float,
 
 _ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
-_FIRST_RATE, _FIRST_SHARE, _LEAST_PRICE = 2.2, 0.5, 1e-15  # price ~ leaves**-2.2, at first; share of the first one that is as good as 0
-_STEEPEST, _FLATTEST = 3.0, 0.4  # bounds of the rate at which the price falls with the size of the file
+_FIRST_RATE, _LEAST_RATE, _MOST_RATE = 3.0, 1.5, 25.0  # price ~ size of the file**-rate
+_BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limits; steps of logarithms of the price
 
 
 def _largest_tree(
@@ -213,27 +221,28 @@ def _largest_tree(
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     if (num_bytes := files.num_bytes(fits.source[:1], limits)) > limits.max_bytes:
         raise BudgetTooSmall(limits.max_bytes, num_bytes)
-    price = float(costs[0]) * (_FIRST_SHARE * num_leaves) ** -_FIRST_RATE
-    least_price, tried = _LEAST_PRICE * price, []
+    price, tried = float(np.log(max(costs[0] / num_leaves**2, np.finfo(float).tiny))), []
     for _ in range(_ATTEMPTS):
-        tree = best_tree(lattice, costs, max(price, least_price), limits.max_depth)
+        tree = best_tree(lattice, costs, np.exp(price), limits.max_depth)
         num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
-        share = max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)
-        if share <= 1 and len(tree.box) >= len(largest.box):
+        excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
+        is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(tried) > 1
+        if excess <= 0 and len(tree.box) >= len(largest.box):
             largest = tree
-        if _FULL <= share <= 1 or (share <= 1 and price <= least_price) or price <= 0:
+        if is_final or np.log(_FULL) <= excess <= 0:
             break
         # Interpolate between the prices of the best tree that fits and the one that does not, or extrapolate.
-        tried.append((float(np.log(price)), float(np.log(share))))
+        tried.append((price, excess))
         within, beyond = ([each for each in tried if (each[1] > 0) == side] for side in (False, True))
         if within and beyond:
             (high, below), (low, above) = min(within), max(beyond)
-            aim = np.clip(below / (below - above), 0.1, 0.9) if len(tried) % 3 else 0.5
-            price = float(np.exp(high + aim * (low - high)))
+            price = high + np.clip(below / (below - above), 0.1, 0.9) * (low - high)
         else:
-            (here, excess), (before, other) = tried[-1], tried[max(len(tried) - 2, 0)]
-            rate = (before - here) / (excess - other) if excess != other else _FIRST_RATE
-            price = float(np.exp(here + np.clip(rate, _FLATTEST, _STEEPEST) * (excess + np.sign(excess) * 0.05)))
+            rate = _FIRST_RATE
+            if len(tried) > 1 and tried[-2][1] != excess:
+                rate = float(np.clip((tried[-2][0] - price) / (excess - tried[-2][1]), _LEAST_RATE, _MOST_RATE))
+            step = rate * (excess + np.copysign(_BEYOND, excess))
+            price += float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
     return largest
 
 
@@ -276,25 +285,21 @@ class FamilyTask:
 
     def __call__(self, oracle: FamilyFn) -> ConeTree | None:
         """Return the best cones for one goal; None if no sample reaches it."""
-        distance, source = oracle.first_turns(self.shared)
-        reached = np.isfinite(distance)
-        if not reached.any():
+        goal = goal_samples(oracle, self.shared)
+        if (goal.source < 0).all():
             return None
-        table = np.column_stack([np.nan_to_num(self.shared.x), np.where(reached, distance, 0.0)])
-        table = np.column_stack([table, np.where(reached, self.shared.weight, 0.0)])
-        goal = GoalSamples(table, source.astype(np.int32), oracle.sources)
-        fits = fit_boxes(self.lattice, goal, query_resolution(distance))
+        fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
         files = self.files.of_goal(oracle.sources)
         tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
-        options = _options(self.lattice, goal, fits, tree.box, LEAST_SHORTFALL * float(self.domain.width.max()))
-        total, most = float(fits.integral[tree.box].sum()), float(fits.largest[tree.box].max())
-        view = change_sources(
-            fits.source[tree.box],
-            options,
-            total,
-            most,
-            lambda view: files.num_bytes(view, self.limits) <= self.limits.max_bytes,
-        )
+        view, total, most = fits.source[tree.box], fits.integral[tree.box].sum(), fits.largest[tree.box].max()
+        if fits.is_mixed[tree.box].any():
+            shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
+            options = _options(self.lattice, goal, fits, tree.box, shortfall)
+
+            def has_room(view: Int[np.ndarray, "leaves"]) -> bool:
+                return files.num_bytes(view, self.limits) <= self.limits.max_bytes
+
+            view = change_sources(view, options, float(total), float(most), has_room)
         return tree_of_axes(tree.axes, 2), files.stored(view)
 
 
@@ -304,7 +309,7 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | No
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-    num_leaves = max(1.0, min(limits.max_leaves, (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
+    num_leaves = max(1.0, min(float(limits.max_leaves), (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
     halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
     if halvings > _MOST_HALVINGS:
         return None

@@ -1,7 +1,7 @@
 """Find the best partitions into cone leaves within the limits of a file, for one goal.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
+2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones_of_goal``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
@@ -19,7 +19,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import (
     BoxLevel,
-    Forest,
     PricedTree,
     PriceSearch,
 )
@@ -312,15 +311,15 @@ _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 ConeTree: TypeAlias = tuple[Tree, StoredCones]
 """A tree, and the file form of its leaves in the order of its traversal."""
-Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
-"""Function that repeats a step on trees until the step returns None, and returns the last trees."""
+Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
+"""Function that repeats a step on a tree until the step returns None, and returns the last tree."""
 
 
-def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
+def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
     """Repeat a step until it returns None, without a progress bar; interrupts (Ctrl-C) pass through."""
-    while (larger := step(forest)) is not None:
-        forest = larger
-    return forest
+    while (larger := step(tree)) is not None:
+        tree = larger
+    return tree
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
@@ -333,11 +332,11 @@ def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, patter
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
-    def size(member: int, tree: PricedTree) -> int:
+    def size(tree: PricedTree) -> int:
         return files.num_bytes(tree_of_leaves(levels, tree)[1].source, limits) * (_ROOM + 1) // _ROOM
 
-    search = PriceSearch(levels, np.zeros(1, np.int64), limits, size, len(np.unique(visible.source)))
-    tree, leaves = tree_of_leaves(levels, run(search.first(), search.next).trees[0])
+    search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
+    tree, leaves = tree_of_leaves(levels, run(search.first(), search.next))
 
     def fits(view: Int[np.ndarray, "leaves"]) -> bool:
         return files.num_bytes(view, limits) <= limits.max_bytes
