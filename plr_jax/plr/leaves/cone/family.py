@@ -10,7 +10,7 @@ So for one goal, the distances at all samples take one addition per pair of a sa
 3. Leaves change to sources that they see, if errors hardly grow (``change_sources``).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -28,10 +28,11 @@ from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ConeTree, LeafOptions, change_sources, query_resolution
 from plr_jax.plr.tree import MAX_DEPTH, Cells, tree_of_axes
 
-_LEAST_HALVINGS, _MOST_HALVINGS = 5, 9  # of the grid of samples, along each axis
-_SAMPLES_A_LEAF = 16
+_LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
+_SAMPLES_A_LEAF, _MOST_LEAVES = 16, 8192  # with more leaves, cones of one goal have smaller errors
 _BITS_A_LEAF, _BITS_A_SOURCE, _MOST_OF_SOURCES = 4.4, 43, 0.85  # estimates for the number of leaves
-_MOST_SAMPLES = 64  # of a box that are evaluated; fewer are biased towards few rows and columns of the grid
+_SOME_SAMPLES = 64  # of a box that are evaluated before it is a leaf
+_MOST_OPTIONS = 4  # sources to which a leaf may change, besides its own: the most frequent ones at its samples
 _AT_ONCE = 1 << 14  # pairs of a sample and a source whose arrays stay in a core's cache
 
 Shape: TypeAlias = tuple[int, int]
@@ -84,14 +85,14 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and what to add for each of its samples to evaluate.
+        """For each shape, the first sample of each box, and what to add for some of its samples.
 
-        Larger boxes are evaluated at a Hammersley set, which covers all rows and columns of a box about evenly.
+        Of many samples these are a Hammersley set, which covers all rows and columns of a box about evenly.
         """
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
-            count = min(_MOST_SAMPLES, int(size.prod()))
+            count = min(_SOME_SAMPLES, int(size.prod()))
             place = np.stack(np.divmod(np.arange(count), size[1]))
             if count < size.prod():
                 bits = (np.arange(count)[:, None] >> np.arange(count.bit_length() - 1)) & 1
@@ -100,6 +101,16 @@ class Lattice:
             box = np.stack(np.divmod(np.arange(1 << sum(shape)), 1 << shape[1])) * size[:, None]
             found[shape] = box[0] * row + box[1], place[0] * row + place[1]
         return found
+
+    def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
+        """Yield each shape of given boxes, the places of its boxes, their first samples, and what to add for all."""
+        starts, shapes = np.array(list(self.first.values())), list(self.first)
+        of_shape = np.searchsorted(starts, box, side="right") - 1
+        for number in np.unique(of_shape):
+            place, shape = np.flatnonzero(of_shape == number), shapes[number]
+            rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
+            offset = ((rows[:, None] << self.halvings) + columns).ravel()
+            yield shape, place, self.samples[shape][0][box[place] - starts[number]], offset
 
 
 class GoalSamples(NamedTuple):
@@ -120,29 +131,62 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error."""
+    """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error.
 
+    Boxes that use several sources are ``is_mixed``. Errors of large ones are estimated from some samples at first,
+    and ``is_estimated``.
+    """
+
+    goal: GoalSamples
+    negligible: float
     source: Int[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
     largest: Float[np.ndarray, "boxes"]
     is_mixed: Bool[np.ndarray, "boxes"]
+    is_estimated: Bool[np.ndarray, "boxes"]
+
+    def evaluate(self, lattice: Lattice, box: Int[np.ndarray, "some"]) -> None:
+        """Replace estimated errors of boxes by the errors at all samples."""
+        for shape, place, first, offset in lattice.by_shape(box):
+            boxes = box[place]
+            total, largest, _ = option_errors(self.goal, first, offset, self.source[boxes])
+            counts = largest > self.negligible
+            self.integral[boxes] = np.where(counts, total, 0.0) / (len(offset) << sum(shape))
+            self.largest[boxes] = np.where(counts, largest, 0.0)
+        self.is_estimated[box] = False
 
 
-def above_cones(
-    goal: GoalSamples, first: Int[np.ndarray, "options"], offset: Int[np.ndarray, "k"], source: Int[np.ndarray, "options"]
-) -> tuple[Float[np.ndarray, "options k"], Float[np.ndarray, "options k"]]:
-    """Return distances minus cones of sources at samples ``first[i] + offset[j]``, and the samples' weights."""
-    x, y, distance, weight = np.moveaxis(goal.table[first[:, None] + offset], 2, 0)
-    point = goal.sources.points[source]
-    dx, dy = x - point[:, :1], y - point[:, 1:]
-    return distance - goal.sources.distances[source, None] - np.sqrt(dx * dx + dy * dy), weight
+def option_errors(
+    goal: GoalSamples,
+    first: Int[np.ndarray, "options"],
+    offset: Int[np.ndarray, "k"],
+    source: Int[np.ndarray, "options"],
+    shortfall: float = np.inf,
+) -> Float[np.ndarray, "3 options"]:
+    """Compare distances with the cones of sources at samples ``first[i] + offset[j]``.
+
+    Return, for each option, the weighted sum of errors, the largest error, and the weight of the samples that are
+    more than ``shortfall`` above the cone, which do not see the source.
+    """
+    result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
+    for begin in range(0, len(first), at_once):
+        some = slice(begin, begin + at_once)
+        x, y, distance, weight = np.moveaxis(goal.table[first[some, None] + offset], 2, 0)
+        point = goal.sources.points[source[some]]
+        dx, dy = x - point[:, :1], y - point[:, 1:]
+        above = distance - goal.sources.distances[source[some], None] - np.sqrt(dx * dx + dy * dy)
+        error = np.abs(above)
+        result[0, some], result[1, some] = (error * weight).sum(axis=1), np.max(error * (weight > 0), axis=1)
+        if shortfall < np.inf:
+            result[2, some] = ((above > shortfall) * weight).sum(axis=1)
+    return result
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
     """Find each box's best source, of those that are best in its halves; errors up to ``negligible`` count as 0."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
-    integral, largest = np.zeros(num), np.zeros(num)
+    integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
     source[-len(goal.source) :] = most[-len(goal.source) :] = goal.source  # the smallest boxes are the last
     least[-len(goal.source) :] = np.where(goal.source < 0, len(goal.sources.points), goal.source)
     for shape in list(lattice.first)[-2::-1]:
@@ -159,13 +203,7 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
         box, column = np.nonzero(is_new)
         first, offset = lattice.samples[shape]
         of_option = np.full((2, *tried.shape), np.inf)
-        at_once = max(1, _AT_ONCE // len(offset))
-        for begin in range(0, len(box), at_once):
-            some = slice(begin, begin + at_once)
-            above, weight = above_cones(goal, first[mixed[box[some]]], offset, tried[box[some], column[some]])
-            error = np.abs(above, out=above)
-            of_option[1, box[some], column[some]] = np.max(error * (weight > 0), axis=1)
-            of_option[0, box[some], column[some]] = (error * weight).sum(axis=1)
+        of_option[:, box, column] = option_errors(goal, first[mixed[box]], offset, tried[box, column])[:2]
         best = of_option[0].argmin(axis=1)
         each, place = np.arange(len(mixed)), mixed + here.start
         source[place] = tried[each, best]
@@ -173,7 +211,9 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
         counts = worst > negligible
         integral[place] = np.where(counts, mean, 0.0) / (len(offset) << sum(shape))
         largest[place] = np.where(counts, worst, 0.0)
-    return BoxFits(source, integral, largest, least < most)
+        is_estimated[here] = len(offset) << sum(shape) < len(goal.source)
+    is_mixed = least < most
+    return BoxFits(goal, negligible, source, integral, largest, is_mixed, is_mixed & is_estimated)
 
 
 class SampledTree(NamedTuple):
@@ -217,13 +257,17 @@ def _largest_tree(
 ) -> SampledTree:
     """Return the largest tree found within the limits at some price; about ``num_leaves`` are expected."""
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
-    costs = fits.integral + least_share * fits.largest
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     if (num_bytes := files.num_bytes(fits.source[:1], limits)) > limits.max_bytes:
         raise BudgetTooSmall(limits.max_bytes, num_bytes)
-    price, tried = float(np.log(max(costs[0] / num_leaves**2, np.finfo(float).tiny))), []
+    price, tried = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
     for _ in range(_ATTEMPTS):
-        tree = best_tree(lattice, costs, np.exp(price), limits.max_depth)
+        while True:
+            tree = best_tree(lattice, fits.integral + least_share * fits.largest, np.exp(price), limits.max_depth)
+            estimated = tree.box[fits.is_estimated[tree.box]]
+            if not len(estimated):
+                break
+            fits.evaluate(lattice, estimated)
         num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
         excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
         is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(tried) > 1
@@ -246,28 +290,22 @@ def _largest_tree(
     return largest
 
 
-def _options(lattice: Lattice, goal: GoalSamples, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
-    """Return the sources of the samples of leaves that use several sources, and their errors at these samples."""
-    options, count = [], len(goal.sources.points)
-    starts, shapes = np.array(list(lattice.first.values())), list(lattice.first)
-    mixed = np.flatnonzero(fits.is_mixed[box])
-    of_shape = np.searchsorted(starts, box[mixed], side="right") - 1
-    for number in np.unique(of_shape):
-        leaf = mixed[of_shape == number]
-        first, offset = lattice.samples[shapes[number]]
-        first = first[box[leaf] - starts[number]]
-        used = goal.source[first[:, None] + offset]
-        own = fits.source[box[leaf]]
-        key = (np.arange(len(leaf))[:, None] * count + used)[used >= 0]
-        row, source = np.divmod(np.unique(np.append(key, np.arange(len(leaf)) * count + own)), count)
-        above, weight = above_cones(goal, first[row], offset, source)
-        size = weight.sum(axis=1)
-        error = np.abs(above)
-        integral = (error * weight).sum(axis=1)
-        hidden = ((above > shortfall) * weight).sum(axis=1)
+def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
+    """Return the most frequent sources of leaves that use several sources, and their errors at all samples."""
+    goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
+    count = len(goal.sources.points)
+    for shape, place, first, offset in lattice.by_shape(box[mixed]):
+        leaf, own, each = mixed[place], fits.source[box[mixed[place]]], np.arange(len(place))
+        used = goal.source[first[:, None] + lattice.samples[shape][1]]
+        key, frequency = np.unique((each[:, None] * count + used)[used >= 0], return_counts=True)
+        key = key[np.lexsort((-frequency, key // count))]
+        key = key[np.arange(len(key)) - np.searchsorted(key // count, key // count) < _MOST_OPTIONS]
+        row, source = np.divmod(np.unique(np.append(key, each * count + own)), count)
+        integral, largest, hidden = option_errors(goal, first[row], offset, source, shortfall)
+        size = np.maximum(goal.table[first[:, None] + offset, 3].sum(axis=1), np.finfo(float).tiny)[row]
+        mean, share = integral / size, len(offset) << sum(shape)
         options.append(
-            (leaf[row], source, source == own[row], hidden == 0, integral / size, hidden / size)
-            + (np.max(error * (weight > 0), axis=1), integral, size / (len(offset) << sum(shapes[number])))
+            (leaf[row], source, source == own[row], hidden == 0, mean, hidden / size, largest, integral, size / share)
         )
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 
@@ -294,7 +332,7 @@ class FamilyTask:
         view, total, most = fits.source[tree.box], fits.integral[tree.box].sum(), fits.largest[tree.box].max()
         if fits.is_mixed[tree.box].any():
             shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
-            options = _options(self.lattice, goal, fits, tree.box, shortfall)
+            options = _options(self.lattice, fits, tree.box, shortfall)
 
             def has_room(view: Int[np.ndarray, "leaves"]) -> bool:
                 return files.num_bytes(view, self.limits) <= self.limits.max_bytes
@@ -310,10 +348,10 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | No
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)
     of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
     num_leaves = max(1.0, min(float(limits.max_leaves), (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
-    halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
-    if halvings > _MOST_HALVINGS:
+    if num_leaves > _MOST_LEAVES:
         return None
-    halvings = min(halvings, limits.max_axis_depth)
+    halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
+    halvings = min(halvings, _MOST_HALVINGS, limits.max_axis_depth)
     place = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
     cells = Cells(np.full(place.shape, halvings), place)
     shared, files = first.shared_samples(*cells.boxes(domain)), ConeFiles(first.sources, domain)
