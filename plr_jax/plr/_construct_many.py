@@ -50,8 +50,8 @@ def construct_many(
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
     chosen by their mean errors at samples, a grid of up to 512 x 512 that all goals share, not by proven errors as in
     :func:`construct`. This is faster, and mean errors are mostly smaller. If no sample has an error, a file may stay
-    below ``max_bytes``. PLRs of other oracles are built one by one with :func:`construct`, and so are PLRs of a family
-    if the limits allow more than about 8,000 leaves or a tolerance is given.
+    below ``max_bytes``. Other PLRs are built one by one with :func:`construct`, and so are cones of a family if the
+    limits allow more than about 8,000 leaves or a tolerance is given.
 
     Args:
         oracles: The distance functions, of any kind.

@@ -64,7 +64,7 @@ class BitWriter:
 
     def __init__(self) -> None:
         self.num_bits = 0
-        self._written: list[tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"] | int]] = []
+        self._written: list[tuple[Int[np.ndarray, _], Int[np.ndarray, _] | int]] = []
 
     def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
         self.num_bits += len(values) * widths if isinstance(widths, int) else int(widths.sum())

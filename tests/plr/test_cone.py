@@ -284,7 +284,7 @@ def test_boxes_have_the_best_source_of_their_halves_and_its_errors_at_samples():
     error = np.linalg.norm(samples.x[:, None] - oracle.sources.points, axis=2) + oracle.sources.distances
     error = np.abs(error - oracle(samples.x)[:, None])
     mixed = 0
-    for shape, number in ((shape, number) for shape in lattice.first for number in range(1 << sum(shape))):
+    for shape, number in [(each, i) for each in lattice.first for i in range(1 << sum(each))]:
         box = lattice.first[shape] + number
         place = np.stack([number >> shape[1], number & ((1 << shape[1]) - 1)])
         inside = (cells.position >> (3 - np.array(shape)) == place).all(axis=1) & (samples.weight > 0)

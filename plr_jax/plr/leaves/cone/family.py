@@ -23,7 +23,7 @@ from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.best_partition import LEAST_SHARE, LEAST_SHARE_PROVEN, MAX_ASPECT_BITS
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth import BudgetTooSmall, Limits
+from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ConeTree, LeafOptions, change_sources, query_resolution
 from plr_jax.plr.tree import MAX_DEPTH, Cells, tree_of_axes
@@ -41,7 +41,7 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """All dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, from large to small.
+    """All dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, large ones first.
 
     Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
     """
@@ -258,8 +258,7 @@ def _largest_tree(
     """Return the largest tree found within the limits at some price; about ``num_leaves`` are expected."""
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
-    if (num_bytes := files.num_bytes(fits.source[:1], limits)) > limits.max_bytes:
-        raise BudgetTooSmall(limits.max_bytes, num_bytes)
+    limits.require_room(files.num_bytes(fits.source[:1], limits))
     price, tried = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
     for _ in range(_ATTEMPTS):
         while True:
