@@ -51,7 +51,8 @@ class Lattice:
     @cached_property
     def first(self) -> dict[Shape, int]:
         """Number of the first box of each shape."""
-        shapes = [s for s in product(range(self.halvings + 1), repeat=2) if abs(s[0] - s[1]) <= MAX_ASPECT_BITS]
+        each = range(self.halvings + 1)
+        shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
         shapes.sort(key=sum)
         return dict(zip(shapes, np.cumsum([0, *(1 << sum(s) for s in shapes[:-1])]).tolist(), strict=True))
 
@@ -65,7 +66,7 @@ class Lattice:
         begin = self.first[shape]
         return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
 
-    def halves(self, values: Any, shape: Shape, axis: int) -> tuple[Any, Any] | None:
+    def halves(self, values: Any, shape: Shape, axis: int) -> Any:
         """Return the values of the lower and upper halves of all boxes of one shape; None if these are not boxes."""
         half = shape[0] + (axis == 0), shape[1] + (axis == 1)
         if half not in self.first:
