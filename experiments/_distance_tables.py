@@ -402,9 +402,18 @@ def families(results: dict[str, Any]) -> str:
         *(("ms a goal", "{ms:.1f}"), ("CPU ms alone", "{ms_alone:.0f}"), ("mean error", "{family[mean]:.2g}")),
         *(("alone", "{alone[mean]:.2g}"), ("largest", "{family[max]:.2g}"), ("alone", "{alone[max]:.2g}")),
     )
-    return table + (
-        f"\nA stack of {stack['plrs']:,} PLRs answers {stack['points']:,} pairs of a goal's index and a point in "
-        f"{1e3 * stack['stack']:.1f} ms; one PLR answers as many points in {1e3 * stack['one']:.1f} ms.\n"
+    cpu = formatted(
+        (row | {"ms": 1e3 * row["cpu_a_goal"]} for row in results.get("cpu", [])),
+        *(("map", "{map}"), ("corners", "{corners:,}"), ("goals", "{goals:,}"), ("bytes", "{bytes:,}")),
+        *(("CPU ms a goal", "{ms:.1f}"), ("mean error", "{mean:.2g}"), ("largest", "{max:.2g}")),
+    )
+    return (
+        table
+        + (f"\n{cpu}" if "cpu" in results else "")
+        + (
+            f"\nA stack of {stack['plrs']:,} PLRs answers {stack['points']:,} pairs of a goal's index and a point in "
+            f"{1e3 * stack['stack']:.1f} ms; one PLR answers as many points in {1e3 * stack['one']:.1f} ms.\n"
+        )
     )
 
 

@@ -2,7 +2,8 @@
 
 On each map: goals drawn from free space, oracles of one workspace, all PLRs by ``construct_many`` in processes, one a
 core, whose start counts; some goals again by ``construct``, for its time and errors. And pairs of an index and a
-point of a stack, beside points of one PLR.
+point of a stack, beside points of one PLR. CPU seconds of ``construct_many`` in this process are measured on a random
+maze and on a field of thousands of vertices, oracles included.
 """
 
 import time
@@ -12,16 +13,21 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import shapely
 
 from experiments._runner import run
+from experiments.benchmarks._oracle import polygon_field
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, BuildOptions, VisibilityGraph, construct, construct_many, scenes, stack
+from plr_jax import PLR, BuildOptions, VisibilityGraph, Workspace, construct, construct_many, scenes, stack
 from plr_jax._compiled import num_cores
 
 GOAL_SEED, POINT_SEED = 11, 12
 MAPS = {"maze": (1_000, 1_024), "floor_plan": (2_000, 2_048)}
 """Goals and bytes of each PLR."""
 NUM_ALONE, NUM_POINTS, RUNS = 20, 1_000_000, 15
+CPU_GOALS, ROOMS, FIELD_VERTICES = 200, 15, 4_832
+WALL = 0.15
+"""Half the thickness of a random maze's walls; a room is 1 wide."""
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
@@ -39,7 +45,47 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     seconds = interleaved({"one": lambda: one(x), "stack": lambda: f(index, x)}, RUNS)
     medians = {kind: each.median for kind, each in seconds.items()}
     ratio = medians["stack"] / medians["one"]
-    return {"rows": rows, "stack": {"plrs": len(plrs), "points": num_points, **medians, "ratio": ratio}}
+    rooms, vertices, goals = (3, 80, 2) if smoke else (ROOMS, FIELD_VERTICES, CPU_GOALS)
+    maps = ("random maze", random_maze(rooms, seed), 1_024), ("field", polygon_field(vertices, seed)[0], 4_096)
+    cpu = [_cpu(*each, goals, seed) for each in maps]
+    return {"rows": rows, "cpu": cpu, "stack": {"plrs": len(plrs), "points": num_points, **medians, "ratio": ratio}}
+
+
+def random_maze(rooms: int, seed: int) -> Workspace:
+    """A maze of square rooms with thick walls: a random spanning tree says which neighbors are joined."""
+    rng = np.random.default_rng(seed)
+    order = [np.zeros(2, int)]
+    seen, free = {(0, 0)}, [shapely.box(WALL, WALL, 1 - WALL, 1 - WALL)]
+    while order:
+        steps = rng.permutation([(1, 0), (-1, 0), (0, 1), (0, -1)])
+        onward = [n for n in order[-1] + steps if n.min() >= 0 and n.max() < rooms and tuple(n) not in seen]
+        if not onward:
+            order.pop()
+            continue
+        lo, hi = np.minimum(order[-1], onward[0]) + WALL, np.maximum(order[-1], onward[0]) + 1 - WALL
+        free.append(shapely.box(*lo, *hi))
+        seen.add(tuple(onward[0]))
+        order.append(onward[0])
+    rings = [ring.coords[:-1] for ring in shapely.get_rings(shapely.union_all(free)).tolist()]
+    return Workspace.from_polygons([{"outer": list(rings[0]), "holes": [list(ring) for ring in rings[1:]]}])
+
+
+def _cpu(name: str, workspace: Workspace, max_bytes: int, num_goals: int, seed: int) -> dict[str, Any]:
+    goals = workspace.sample_free(num_goals, GOAL_SEED + seed)
+    first = VisibilityGraph(workspace, goals[0])
+    seconds = time.process_time()
+    oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
+    plrs = construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=max_bytes)
+    seconds = time.process_time() - seconds
+    x = workspace.sample_free(5_000, POINT_SEED + seed)
+    return {
+        "map": name,
+        "corners": len(first.sources.points) - 1,
+        "goals": num_goals,
+        "bytes": max_bytes,
+        "cpu_a_goal": seconds / num_goals,
+        **_errors(plrs[:NUM_ALONE], oracles, x),
+    }
 
 
 def _measure(

@@ -90,13 +90,12 @@ class FamilyFn(Protocol):
         """An object that identifies the family: the same for all its functions, and for no others."""
         ...
 
-    def shared_cells(self, domain: Any, lo: Any, hi: Any, /) -> Any:
-        """Return data of boxes, relative to a domain, that serve all functions of the family."""
+    def shared_samples(self, lo: Any, hi: Any, /) -> Any:
+        """Return a sample of free space in each of several boxes, for all functions of the family."""
         ...
 
-    @staticmethod
-    def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
-        """Return distinct sources (first turns) of boxes, their keys, and their index by function and box, or -1."""
+    def first_turns(self, samples: Any, /) -> Any:
+        """Return each sample's distance, and the index in ``sources`` of its path's first vertex; or inf and -1."""
         ...
 
     @property

@@ -1,239 +1,109 @@
-"""Sources of cells (the goal, and corners where paths may turn first), for many goals of one workspace at once."""
+"""Samples of free space with the corners that they see, shared by the distances to many goals of one workspace."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+import shapely
+from jaxtyping import Float, Int
 
-from plr_jax._arrays import hash64
-from plr_jax._types import Sources
-from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import (
-    CellSources,
-    Shadows,
-    corner_sight,
-    turns_by_triangle,
-)
-from plr_jax.geometry.convex_pieces import PartCorner, PartIndex, PartSide
+from plr_jax._arrays import parts, take_ragged
+from plr_jax.geometry.cell_sight import turns_by_triangle
+from plr_jax.geometry.convex_pieces import areas, centers, clip_to_boxes
 from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables
+from plr_jax.geometry.visibility import VisibilityTable
 
-_STEP = 2.0**-44  # resolution of relative distances, as a share of the domain's width
-
-GoalTurns = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
-"""The visibility polygon of a goal, and the turns on shortest paths to it: ``2 * corner + side``, and distance."""
-
-
-class SharedSources:
-    """A table of sources (goals, and corners where paths may turn first) of many goals, each stored once.
-
-    Which source is best at a point, and by how much, depends only on differences of the sources' distances. Behind a
-    corner these are equal for all goals that are reached through it. So distances are counted from the nearest source
-    of each cell, in multiples of ``step``, and each pair of a kind and such a distance is stored once. A *kind* is a
-    corner and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a goal.
-    """
-
-    def __init__(self, points: Float[np.ndarray, "views 2"], num_turns: int, step: float) -> None:
-        self._points, self._num_turns, self._step = points, num_turns, step
-        self.kind, self._steps = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self._sorted, self._place = np.zeros(0, np.uint64), np.zeros(0, np.int64)
-        self._sources: Sources | None = None
-
-    def indices_of(self, kind: Int[np.ndarray, "n"], distance: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the table index of each source (a kind and a relative distance); new sources are appended."""
-        steps = np.rint(distance / self._step).astype(np.int64)
-        hashes = hash64(kind) + hash64(steps ^ np.int64(1 << 62))
-        keys, first, index = np.unique(hashes, return_index=True, return_inverse=True)
-        at = np.searchsorted(self._sorted, keys)
-        known = at < len(self._sorted)
-        known[known] = self._sorted[at[known]] == keys[known]
-        place = np.empty(len(keys), np.int64)
-        place[known] = self._place[at[known]]
-        new = np.flatnonzero(~known)
-        if len(new):
-            order = np.argsort(first[new])
-            place[new[order]] = len(self.kind) + np.arange(len(new))
-            self.kind = np.concatenate([self.kind, kind[first[new[order]]]])
-            self._steps = np.concatenate([self._steps, steps[first[new[order]]]])
-            self._sorted = np.insert(self._sorted, at[new], keys[new])
-            self._place = np.insert(self._place, at[new], place[new])
-            self._sources = None
-        return place[index]
-
-    @property
-    def view(self) -> Int[np.ndarray, "sources"]:
-        """Index of the viewpoint of each source: corners first, then goals."""
-        return self.kind >> 1
-
-    @property
-    def turn(self) -> Int[np.ndarray, "sources"]:
-        """Index ``2 * corner + side`` of each source's turn point, -1 for goals."""
-        return np.where(self.kind < self._num_turns, self.kind, -1)
-
-    @property
-    def sources(self) -> Sources:
-        """Points and relative distances of all sources in the table."""
-        if self._sources is None:
-            self._sources = Sources(self._points[self.view], self._steps * self._step, np.arange(len(self.kind)))
-        return self._sources
-
-
-class FamilySources(CellSources):
-    """Sources of the cells of several goals; cells whose distances differ only by a constant are stored once."""
-
-    is_family: ClassVar[bool] = True
-
-    def distinct_parts(
-        self,
-        parent: PartIndex,
-        axis: PartIndex,
-        is_upper: PartSide,
-        lo: PartCorner,
-        hi: PartCorner,
-        cell: UInt64[np.ndarray, "parts"],
-    ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "distinct"], PartIndex]:
-        """Cut parts off cells, as :meth:`CellSources.parts`, and keep those with distinct boxes, pieces or sources.
-
-        ``cell`` holds a hash of each part's box. Return the distinct parts, a hash of each, the index of the first
-        part equal to each, and for every part the index of its distinct part.
-        """
-        inherited, changed = self.cut(parent, axis, is_upper, lo, hi)
-        first, index = _first_occurrences(inherited.keys(cell))
-        changed = changed[np.isin(inherited.cell, first)]
-        settled = inherited.of_cells(first).merge_free_boxes(changed, lo[first], hi[first]).relative_to_nearest()
-        return settled, settled.keys(cell[first]), first, index
-
-    def keys(self, cell: UInt64[np.ndarray, "cells"]) -> UInt64[np.ndarray, "cells"]:
-        """Return a hash of each cell: of its box (whose hash is given), its convex pieces and their sources."""
-        pair = hash64(self.source * 2 + self.by_all) + hash64(self.triangle[self.piece] + (1 << 40))
-        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(hash64(pair), dtype=np.uint64)])
-        return hash64(np.diff(total[self.first_pair[self.first_piece]])) + cell
-
-    def relative_to_nearest(self) -> "FamilySources":
-        """Return the cells with each cell's distances reduced by the least distance of its sources."""
-        source_table, distances = self.sight.source_table, self.sources.distances
-        least = np.full(self.num_cells, np.inf)
-        np.minimum.at(least, self.cell[self.piece], distances[self.source])
-        least = np.where(np.isfinite(least), least, 0.0)
-        source, best, distance = self.source.copy(), self.best.copy(), self.distance - least[self.cell]
-        for column, beyond in ((source, least[self.cell[self.piece]]), (best, least[self.cell])):
-            rows = np.flatnonzero(beyond > 0)
-            column[rows] = source_table.indices_of(
-                source_table.kind[column[rows]], distances[column[rows]] - beyond[rows]
-            )
-        return replace(self, source=source, best=best, distance=distance)
+_PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and boxes at walls, in memory at a time
+_LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
+Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 
 
 @dataclass(frozen=True, eq=False)
-class SharedCells:
-    """Boxes of a workspace with what is the same for all goals: free convex pieces, and the corners that see them.
+class FamilySamples:
+    """At most one sample for each of several boxes, and the corners where paths from the sample may turn first.
 
-    ``radius`` is the largest distance from the center of each piece to a point of it. For each pair of a piece and a
-    corner, ``length`` is the distance from the piece's center to the corner, and ``by_center`` says whether the
-    center sees the corner. Distances of goals are rounded to multiples of ``step``.
+    A box that no wall meets has its center as the sample, another the center of its largest free convex piece.
+
+    Attributes:
+        x: The sample of each box; NaN if no part of the box is free.
+        weight: Free share of each box's area; 0 without a sample.
+        sampled: Boxes that have a sample.
+        placed: Samples of these boxes, moved into free space where rounding puts them outside.
+        box: Boxes whose samples see corners; their corners are ``corner[first[i]]`` up to the next box's.
+        length: Distance from the sample to each of these corners.
     """
 
-    corners: CornerVisibility
-    cells: CellSources
-    radius: Float[np.ndarray, "pieces"]
+    x: Corners
+    weight: Float[np.ndarray, "boxes"]
+    sampled: Int[np.ndarray, "sampled"]
+    placed: Float[np.ndarray, "sampled 2"]
+    box: Int[np.ndarray, "seeing"]
+    first: Int[np.ndarray, "seeing"]
+    corner: Int[np.ndarray, "pairs"]
     length: Float[np.ndarray, "pairs"]
-    by_center: Bool[np.ndarray, "pairs"]
-    step: float
 
     @staticmethod
-    def of(
-        corners: CornerVisibility, triangulation: Triangulation, domain: Box, lo: PartCorner, hi: PartCorner
-    ) -> "SharedCells":
-        """Compute the free convex pieces of boxes in a domain, and the corners that see each piece."""
-        lists = turns_by_triangle(corners, triangulation)
-        cells = CellSources.of_boxes(corner_sight(corners, triangulation), lists, lo, hi)
-        radius = np.sqrt(np.square(cells.pieces - cells.center.T[:, :, None]).sum(axis=0).max(axis=1))
-        view, center = cells.source >> 1, cells.center[cells.piece]
-        length = np.linalg.norm(center - corners.corners.points[view], axis=1)
-        step = _STEP * float(domain.width.max())
-        return SharedCells(corners, cells, radius, length, corners.table.sees(view, center), step)
+    def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
+        """Sample boxes of one size, and find the corners that the samples see and at which a path may turn."""
+        # 1. Choose the samples.
+        x, weight, area = (lo + hi) / 2, np.ones(len(lo)), np.prod(hi[0] - lo[0])
+        boxes: Any = shapely.box(*lo.T, *hi.T)
+        at_wall = np.unique(triangulation.boundary.tree.query(boxes, predicate="intersects")[0])
+        elsewhere = np.setdiff1d(np.arange(len(lo)), at_wall)
+        weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
+        weight[at_wall] = 0.0
+        triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
+        for begin in range(0, len(at_wall), _WALL_BOXES):
+            some = at_wall[begin : begin + _WALL_BOXES]
+            pieces, box, _ = clip_to_boxes(triangles, lo[some], hi[some])
+            size = areas(pieces)
+            order = np.lexsort((-size, box))
+            largest = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
+            x[some[box[largest]]] = centers(pieces[:, largest])
+            weight[some] = np.bincount(box, size, len(some)) / area
+        weight[weight < _LEAST_SHARE] = 0.0
+        sampled = np.flatnonzero(weight)
+        x[weight == 0] = np.nan
+        # 2. Test the corners that see a part of each sample's triangle.
+        places, corners = triangulation.place(x[sampled]), visibility.corners
+        first, turns = turns_by_triangle(visibility, triangulation)
+        count = np.int64(len(corners.points))
+        key = np.unique(np.repeat(np.arange(len(first) - 1), np.diff(first)) * count + (turns >> 1))
+        triangle, of_triangle = np.divmod(key, count)
+        first = np.searchsorted(triangle, np.arange(len(first)))
+        pairs = [np.zeros((2, 0), np.int64)]
+        for part in parts(np.diff(first)[places.triangle], _PAIRS):
+            entry, sample = take_ragged(first, places.triangle[part])
+            corner, sample = of_triangle[entry], sample + part.start
+            turns_there = corners.is_tangent_to(corner, places.x[sample])
+            corner, sample = corner[turns_there], sample[turns_there]
+            seen = visibility.table.sees(corner, places.x[sample])
+            pairs.append(np.stack([sample[seen], corner[seen]]))
+        sample, corner = np.concatenate(pairs, axis=1)
+        first = np.flatnonzero(np.append(True, sample[1:] != sample[:-1])[: len(sample)])
+        length = np.linalg.norm(x[sampled[sample]] - corners.points[corner], axis=1)
+        box = sampled[sample[first]]
+        return FamilySamples(x, weight, sampled, places.x, box, first, corner.astype(np.int32), length)
 
-    def of_goals(
-        self, goals: Sequence[GoalTurns]
-    ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
-        """Return distinct cells (boxes with sources), their hashes, and the index by goal and box (-1: no path)."""
-        cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
-        source_table = SharedSources(table.points, len(cells.sight.turns.points), self.step)
-        sight = replace(cells.sight, source_table=source_table, shadows=Shadows.of(table), has_goal=True)
-        # 1. List the cells of all goals, with pairs sorted by goal, piece and kind.
-        of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight.shadows)
-        order = np.lexsort((kind, piece, of_goal))
-        row, piece = _group_sorted((of_goal * len(cells.cell) + piece)[order])
-        number, row = np.divmod(row, len(cells.cell))
-        node, cell = _group_sorted(number * cells.num_cells + cells.cell[row])
-        least = np.full(len(node), np.inf)
-        np.minimum.at(least, cell[piece], distance[order])
-        source = source_table.indices_of(kind[order], distance[order] - least[cell[piece]])
-        found = FamilySources(
-            sight,
-            len(node),
-            cell,
-            cells.pieces[:, row],
-            cells.triangle[row],
-            cells.center[row],
-            cells.distance[row],
-            cells.best[row],
-            piece,
-            source,
-            by_all[order],
-        )
-        # 2. Keep cells that differ by more than a constant.
-        box = hash64(node % cells.num_cells)
-        first, index = _first_occurrences(found.keys(box))
-        by_center = by_center[order][np.isin(cell[piece], first)]
-        found = found.of_cells(first)
-        found = found.prune_dominated(np.ones(len(found.cell), bool), by_center).relative_to_nearest()
-        result = np.full(len(goals) * cells.num_cells, -1)
-        result[node] = np.where(np.diff(found.first_piece)[index] > 0, index, -1)
-        return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
+    def first_turns(
+        self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
+    ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
+        """Return each sample's distance to a goal, and the first vertex of its path: the goal is 0, corners follow.
 
-    def _pairs(self, goals: Sequence[GoalTurns], shadows: Shadows) -> tuple[np.ndarray, ...]:
-        """Return goal, piece, kind and distance of useful sources; whether all of the piece and its center see it."""
-        cells, table, columns = self.cells, shadows.table, []
-        lowest, highest = cells.pieces.min(axis=2).T, cells.pieces.max(axis=2).T
-        first, num_corners = np.unique(cells.piece, return_index=True)[1], len(self.corners.corners.points)
-        of_first, radius = cells.piece[first], self.radius[cells.piece]
-        for number, (own, kinds, distances) in enumerate(goals):
-            # 1. Pieces that the goal may see, near the bounding box of itself and the walls that it sees.
-            ends = np.append(own.boundary.segments[own.edge[own.edge >= 0]].reshape(-1, 2), own.points, axis=0)
-            lo, hi = ends.min(axis=0) - table.tolerance, ends.max(axis=0) + table.tolerance
-            view, near = num_corners + number, np.flatnonzero(((lowest <= hi) & (highest >= lo)).all(axis=1))
-            by_center, is_whole = shadows.see(np.full(len(near), view), cells.pieces[:, near], cells.center[near])
-            some = by_center | ~is_whole
-            near, by_center, by_all = near[some], by_center[some], (by_center & is_whole)[some]
-            goal, kind, none = np.full(len(near), number), np.full(len(near), 2 * view), np.zeros(len(near))
-            columns.append((goal, near, kind, none, by_all, by_center))
-            # 2. Corners through which some point of a piece may be closer than the upper bound of the whole piece.
-            most = np.full(len(cells.cell), np.inf)
-            beyond = np.linalg.norm(cells.center[near] - table.points[view], axis=1) + self.radius[near]
-            most[near[by_all]] = beyond[by_all]
-            distance = np.full(2 * num_corners, np.inf)
-            distance[kinds] = distances
-            distance = distance[cells.source]
-            way = distance + self.length
-            if len(first):
-                farthest = np.minimum.reduceat(np.where(cells.by_all, way + radius, np.inf), first)
-                most[of_first] = np.minimum(most[of_first], farthest)
-            near = np.flatnonzero((way - radius <= most[cells.piece] + table.tolerance) & np.isfinite(way))
-            of_pairs = cells.piece, cells.source, distance, cells.by_all, self.by_center
-            columns.append((np.full(len(near), number), *(column[near] for column in of_pairs)))
-        return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
-
-
-def _group_sorted(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
-    return keys[new], np.cumsum(new) - 1
-
-
-def _first_occurrences(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
-    _, first, index = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return first[order], np.argsort(order)[index]
+        Without a path, return ``inf`` and -1. ``view`` is what the goal sees.
+        """
+        distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
+        if len(self.first):
+            way = corner_distances[self.corner] + self.length
+            distance[self.box] = np.minimum.reduceat(way, self.first)
+            counts = np.diff(self.first, append=len(way))
+            shortest = np.flatnonzero((way == np.repeat(distance[self.box], counts)) & np.isfinite(way))[::-1]
+            vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
+        # The goal sees nothing outside the bounding box of itself and the walls that it sees.
+        ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
+        lo, hi = ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
+        near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
+        direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
+        distance[direct], vertex[direct] = np.linalg.norm(self.x[direct] - goal, axis=1), 0
+        return distance, vertex

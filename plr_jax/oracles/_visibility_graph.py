@@ -1,19 +1,18 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
 from plr_jax._arrays import index_of as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_family import FamilySources, SharedCells
+from plr_jax.geometry.cell_family import FamilySamples
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
@@ -27,7 +26,6 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
@@ -196,24 +194,13 @@ class VisibilityGraph:
         """The corners and what they see: the same object for oracles made of one another by :meth:`with_goal`."""
         return self._corners
 
-    def shared_cells(
-        self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
-    ) -> SharedCells:
-        """Return what holds for any goal: convex pieces of the boxes' free space, and the corners that see each."""
-        return SharedCells.of(self._corners, self.workspace.triangulation, domain, lo, hi)
+    def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
+        """Return a sample of free space in each box, and the corners that it sees; these serve any goal."""
+        return FamilySamples.of(self._corners, self.workspace.triangulation, lo, hi)
 
-    @staticmethod
-    def family_sources(
-        shared: SharedCells, fns: Sequence["VisibilityGraph"]
-    ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
-        """Return distinct cells (boxes with sources), their hashes, and their indices (or -1) by oracle and box."""
-        goals = []
-        for fn in fns:
-            corner, turns = fn._turns.vertex - 1, fn._turns
-            # Side 1: paths come around the wall that opens the corner's sector; side 0: the one that closes it.
-            side = (turns.normal[1] == turned_left(fn._corners.corners.walls[0, corner])).all(axis=1)
-            goals.append((fn._goal_table, 2 * corner + side, turns.distance))
-        return shared.of_goals(goals)
+    def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
+        """Return each sample's distance, and the index in ``sources`` of the first vertex of its path; or inf, -1."""
+        return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point to the goal.

@@ -1,4 +1,4 @@
-"""Build many PLRs in parallel with :func:`construct_many`, and cones of several goals in one workspace together."""
+"""Build many PLRs in parallel with :func:`construct_many`; cones of goals in one workspace share samples."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -21,11 +21,10 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.sampling import sample_pattern
 from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
-# Goals that one worker builds together. More goals share more work, but each takes about 10 MB of memory.
+# Goals that one worker builds in turn, so that progress is stored from time to time.
 _MEMBERS_AT_ONCE = 64
 
 
@@ -48,10 +47,11 @@ def construct_many(
         oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
-    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*, whose cones are built
-    together. Their errors are about as small as with :func:`construct`, but the PLRs differ: fewer partitions are
-    tried, and a cell larger than about eight average leaves becomes a leaf only if one source (the goal, or a corner
-    where paths turn) serves all of it. Other PLRs are built one by one with :func:`construct`.
+    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
+    chosen by their mean errors at samples, a grid of up to 512 x 512 that all goals share, not by proven errors as in
+    :func:`construct`. This is faster, and mean errors are mostly smaller. If no sample has an error, a file may stay
+    below ``max_bytes``. Other PLRs are built one by one with :func:`construct`, and so are cones of a family if the
+    limits allow more than about 8,000 leaves or a tolerance is given.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -93,7 +93,8 @@ def construct_many(
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, Cone) and is_plane and is_limited and options == DEFAULT_OPTIONS
+    as_family = isinstance(model, Cone) and is_plane and is_limited and limits.tolerance == 0
+    as_family &= options == DEFAULT_OPTIONS
     checkpoint_file = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
@@ -119,13 +120,10 @@ def construct_many(
     chunks: list[Chunk] = []
     for numbers in families.values():
         first = oracles[numbers[0]]
-        if as_family and isinstance(first, FamilyFn):
-            pattern = sample_pattern(domain.dim, model.num_samples, 0, int(seed))  # for choosing visible sources
-            work = partial(_family_files, family_task(first, domain, limits, pattern), leaf_model(model.name), proof)
-            parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
-            chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
-        else:
-            chunks.append((numbers, partial(_file_alone, alone, first)))
+        task = family_task(first, domain, limits) if as_family and isinstance(first, FamilyFn) else None
+        work = partial(_files, alone, task, leaf_model(model.name))
+        parts = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
+        chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
     with tqdm(
         desc="construct_many",
         unit=" PLRs",
@@ -143,16 +141,18 @@ def construct_many(
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
-def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
+def _files(
+    alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
+) -> list[bytes]:
+    """Build files of members of a family; without a task, or if no shared sample reaches a goal, build them alone."""
     files = []
-    for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
-        contents = DecodedFile(task.domain, leaf, tree, stored)
-        if proof is not Proof.NONE:
+    for oracle in oracles:
+        if task is None or (found := task(oracle)) is None:
+            files.append(alone(oracle).to_bytes())
+            continue
+        contents = DecodedFile(task.domain, leaf, *found)
+        if task.limits.proof is not Proof.NONE:
             root = oracle.cell_sources(grown_domain(task.domain))
-            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+            contents = replace(contents, certificate=certificate_of(contents, root, task.limits.proof))
         files.append(encode(contents))
     return files
-
-
-def _file_alone(build: Callable[[DistanceFn], Any], oracle: DistanceFn) -> list[bytes]:
-    return [build(oracle).to_bytes()]

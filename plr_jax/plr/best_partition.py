@@ -4,9 +4,6 @@ Dynamic programming works upward from the smallest boxes: a box is a leaf, or is
 price falls, and more boxes are computed, until the best tree exceeds its limits. Then the lowest price within the
 limits is found by interpolation.
 
-Trees of several members (goals of one workspace) are searched together. Boxes that are equal for several members are
-computed once; the result of a member does not depend on the other members.
-
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
 """
@@ -19,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.growth import BudgetTooSmall, Limits, check_memory
+from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
@@ -129,6 +126,7 @@ _BEYOND = 1.15  # near the limits, the next tree should exceed them by this fact
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
 _FIRST_SHARE = 0.25  # share of the limits at which the first price aims, as the guess is rough
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
+_ATTEMPTS, _FULL = 12, 0.997  # prices to try between two trees; used share of the limits that is enough
 _HIGH = 1e300  # a price at which no box is halved that may be a leaf
 _LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that ties go to the smaller tree
 
@@ -136,29 +134,9 @@ Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
 """For each level, from the first on, the indices of the boxes that are leaves of a tree."""
 
 
-class SearchPruning(NamedTuple):
-    """Shortcuts of a search, for speed.
-
-    Attributes:
-        margin: See :func:`expand`; ``inf`` keeps the search exact.
-        attempts: Largest number of prices to try between a tree that fits and one that does not.
-        full: Used share of the limits from which on a tree is large enough.
-        keeps_split_order: Whether files store the tree as the search split it; else in the canonical form of
-            :func:`tree_of`, which takes longer.
-    """
-
-    margin: float = np.inf
-    attempts: int = 12
-    full: float = 0.997
-    keeps_split_order: bool = False
-
-
-EXACT = SearchPruning()
-
-
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The best tree for one member (goal) at a price per leaf; nodes and leaves are level by level.
+    """The best tree at a price per leaf; nodes and leaves are level by level.
 
     Attributes:
         axes: Split axis of each node; -1 for a leaf.
@@ -177,82 +155,46 @@ class PricedTree:
         return len(self.order)
 
 
-@dataclass(frozen=True, eq=False)
-class Forest:
-    """A forest with one tree for each member (goal); its length is the number of leaves of all trees."""
-
-    trees: list[PricedTree]
-
-    def __len__(self) -> int:
-        return sum(map(len, self.trees))
-
-
 class MemberBoxes(NamedTuple):
-    """Boxes of one level that a goal's tree may contain; ``child`` has indices into such boxes of the next level."""
+    """Boxes of one level that a tree may contain; ``child`` has indices into such boxes of the next level."""
 
     box: Int[np.ndarray, "own"]
     child: Int[np.ndarray, "2 2 own"]
 
 
 class PriceSearch:
-    """A search for the largest optimal tree of each member (goal) whose file is within the limits.
+    """A search for the largest optimal tree, from the only box of the first level, whose file is within the limits.
 
-    The tree of member ``i`` starts at box ``roots[i]`` of the first level; ``size(i, tree)`` returns the bytes of its
-    file. ``num_sources``, the number of points where leaves may put a cone's apex, improves the first price.
+    ``size(tree)`` returns the bytes of a tree's file. ``num_sources``, the number of points where leaves may put a
+    cone's apex, improves the first price.
     """
 
     def __init__(
-        self,
-        levels: list[BoxLevel],
-        roots: Int[np.ndarray, "members"],
-        limits: Limits,
-        size: Callable[[int, PricedTree], int],
-        num_sources: int = 0,
-        pruning: SearchPruning = EXACT,
+        self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
     ) -> None:
-        self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
-        self._num_sources, self._pruning = num_sources, pruning
+        self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
         self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._own: list[list[MemberBoxes]] = [[]] * len(roots)
+        self._own: list[MemberBoxes] = []
 
-    def first(self) -> Forest:
-        """Return the smallest tree of each member; ``BudgetTooSmall`` if a tree exceeds the byte budget."""
-        trees = []
-        for member in range(len(self._roots)):
-            self._select_boxes(member, _HIGH, 1.0)
-            tree = self._tree(member, _HIGH, 1.0)
-            if tree.num_bytes > self._limits.max_bytes:
-                what = "one leaf" if len(tree) == 1 else f"a tree of {len(tree)} leaves"
-                raise BudgetTooSmall(self._limits.max_bytes, tree.num_bytes, what)
-            boxes = [(level.boxes, box) for level, box in zip(self.levels, tree.leaves, strict=False)]
-            cost = sum(float(np.sum(each.integral[box] + each.error[box] / len(tree))) for each, box in boxes)
-            trees.append(replace(tree, price=cost / len(tree)))
-        return Forest(trees)
+    def first(self) -> PricedTree:
+        """Return the smallest tree; :class:`BudgetTooSmall` if it exceeds the byte budget."""
+        self._select_boxes(_HIGH, 1.0)
+        tree = self._tree(_HIGH, 1.0)
+        self._limits.require_room(tree.num_bytes)
+        return replace(tree, price=float(self.levels[0].costs(1.0)[0]))
 
-    def next(self, now: Forest) -> Forest | None:
-        """Compute more boxes and return the next, usually larger trees; None if all searches are over."""
-        trees = list(now.trees)
-        aims = {i: self._next_price(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
-        if not aims:
+    def next(self, now: PricedTree) -> PricedTree | None:
+        """Compute more boxes and return the next, usually larger tree; None if the search is over."""
+        if now.is_final:
             return None
-        limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
-        for member, (of_member, _) in aims.items():
-            price[self._roots[member]] = min(price[self._roots[member]], of_member)
-        # Computing boxes for all members at once is safe: each member uses only boxes that it would have computed
-        # alone.
-        least_share = max(share for _, share in aims.values())
-        share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
-        expand(self.levels, price, least_share, limits, self._pruning.margin, share)
-        for member, (of_member, least_share) in aims.items():
-            is_final = self._select_boxes(member, of_member, least_share)
-            larger = self._tree(member, _LAST * of_member if is_final else of_member, least_share, is_final)
-            trees[member] = (
-                larger if self._share(larger) <= 1 else self._largest(member, trees[member], larger, least_share)
-            )
-        return Forest(trees)
+        price, least_share = self._next_price(now)
+        expand(self.levels, np.full(1, price), least_share, self._limits)
+        is_final = self._select_boxes(price, least_share)
+        larger = self._tree(_LAST * price if is_final else price, least_share, is_final)
+        return larger if self._share(larger) <= 1 else self._largest(now, larger, least_share)
 
-    def _next_price(self, member: int, now: PricedTree) -> tuple[float, float]:
+    def _next_price(self, now: PricedTree) -> tuple[float, float]:
         """Return the next price, expected to give a larger tree, and the weight of largest errors in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
@@ -263,44 +205,44 @@ class PriceSearch:
         if len(now) == 1:
             room = max(_FIRST_SHARE * room, 2.0)
             return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
-        before = len(self._best_tree(member, _RATE_STEP * now.price, least_share))
+        before = len(self._best_tree(_RATE_STEP * now.price, least_share))
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, least_share
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, least_share
 
-    def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
-        tree = self._best_tree(member, price, least_share)
-        num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
+    def _tree(self, price: float, least_share: float, is_final: bool = False) -> PricedTree:
+        tree = self._best_tree(price, least_share)
+        num_bytes = self._size(tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
     def _share(self, tree: PricedTree) -> float:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
-    def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
+    def _largest(self, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
         """Return the largest tree found within the limits, at prices between those of ``fits`` and ``beyond``."""
         largest = fits
-        for attempt in range(self._pruning.attempts):
+        for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._share(fits), self._share(beyond)])
             aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high)))
-            middle = self._tree(member, price, least_share)
+            middle = self._tree(price, least_share)
             if self._share(middle) <= 1:
                 fits = largest = middle
             else:
                 beyond = middle
-            if self._share(largest) > self._pruning.full:
+            if self._share(largest) > _FULL:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, member: int, price: float, least_share: float) -> bool:
-        """Select the boxes that a member's root gives if all boxes that cost more than ``price`` are halved.
+    def _select_boxes(self, price: float, least_share: float) -> bool:
+        """Select the boxes that the first one gives if all boxes that cost more than ``price`` are halved.
 
         Return whether no other selected box of a cost above 0 may be halved, so that no lower price selects more.
         """
-        here, own, is_all = self._roots[member : member + 1], [], True
+        here, own, is_all = np.zeros(1, np.int64), [], True
         for depth, level in enumerate(self.levels):
             if not len(here):
                 break
@@ -319,12 +261,12 @@ class PriceSearch:
                 place = np.empty(len(is_own), np.int64)
                 place[here] = np.arange(len(here))
                 child[known] = place[halves]
-        self._own[member] = own
+        self._own = own
         return is_all
 
-    def _best_tree(self, member: int, price: float, least_share: float) -> PricedTree:
-        """Return the tree of least total cost, with a price per leaf, among the boxes selected for a member."""
-        own = self._own[member]
+    def _best_tree(self, price: float, least_share: float) -> PricedTree:
+        """Return the tree of least total cost, with a price per leaf, among the selected boxes."""
+        own = self._own
         axes = best_axes(self.levels, own, price, least_share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
         for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):

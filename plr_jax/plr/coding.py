@@ -1,7 +1,7 @@
 """Bit streams and varints, by which integers, floats, sets and trees are packed into the bytes of a PLR file."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
@@ -60,26 +60,20 @@ _MAX_CODED = 2**40  # integers in Exp-Golomb codes are smaller
 
 
 class BitWriter:
-    """A writer of unsigned integers of given bit widths, least significant bit first."""
+    """A writer of unsigned integers of given bit widths, least significant bit first; ``num_bits`` are written."""
 
     def __init__(self) -> None:
-        self._bits: list[np.ndarray] = []
+        self.num_bits = 0
+        self._written: list[tuple[Int[np.ndarray, _], Int[np.ndarray, _] | int]] = []
 
     def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
-        if isinstance(widths, int):
-            bits = (values[:, None] >> np.arange(widths)) & 1
-        else:
-            field, within = ragged_indices(widths)
-            bits = (values[field] >> within) & 1
-        self._bits.append(bits.astype(np.uint8).ravel())
+        self.num_bits += len(values) * widths if isinstance(widths, int) else int(widths.sum())
+        self._written.append((values, widths))
         return self
 
     def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append each value ``v`` as ``v`` zeros and a one."""
-        bits = np.zeros(int(values.sum()) + len(values), np.uint8)
-        bits[np.cumsum(values + 1) - 1] = 1
-        self._bits.append(bits)
-        return self
+        return self.write(np.int64(1) << values, values + 1)
 
     def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
@@ -112,13 +106,19 @@ class BitWriter:
         """Append Exp-Golomb codes of signed integers: of ``2 * v - 1`` for positive ``v``, else of ``-2 * v``."""
         return self.write_coded(2 * np.abs(values) - (values > 0))
 
-    @property
-    def num_bits(self) -> int:
-        return sum(map(len, self._bits))
-
     def to_bytes(self) -> bytes:
         """Return the written bits, padded with zeros to whole bytes."""
-        return np.packbits(np.concatenate(self._bits), bitorder="little").tobytes()
+        bits = [_bits_of(values, widths) for values, widths in self._written]
+        return np.packbits(np.concatenate(bits), bitorder="little").tobytes()
+
+
+def _bits_of(values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> UInt8[np.ndarray, "bits"]:
+    if isinstance(widths, int):
+        bits = (values[:, None] >> np.arange(widths)) & 1
+    else:
+        field, within = ragged_indices(widths)
+        bits = (values[field] >> within) & 1
+    return bits.astype(np.uint8).ravel()
 
 
 class BitReader:

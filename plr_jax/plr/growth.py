@@ -30,15 +30,15 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for the smallest tree, whose file takes ``num_bytes``."""
+    """An error: a byte budget is too small even for one leaf, whose file takes ``num_bytes``."""
 
-    def __init__(self, max_bytes: float, num_bytes: int, what: str = "one leaf"):
-        super().__init__(max_bytes, num_bytes, what)  # all arguments, for pickling
+    def __init__(self, max_bytes: float, num_bytes: int):
+        super().__init__(max_bytes, num_bytes)  # all arguments, for pickling
         self.num_bytes = num_bytes
 
     def __str__(self) -> str:
-        max_bytes, num_bytes, what = self.args
-        return f"max_bytes={max_bytes:g} is too small: {what} takes {num_bytes} bytes. Allow at least that many."
+        max_bytes, num_bytes = self.args
+        return f"max_bytes={max_bytes:g} is too small: one leaf takes {num_bytes} bytes. Allow at least that many."
 
 
 class ConstructionInterrupted(UserWarning):

@@ -148,7 +148,12 @@ def test_a_plr_of_stated_bytes():
         ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0]]}, r"heights must have shape \(1, 2\)"),
         ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "slope_cost": "hill"}, "or a function"),
         ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "bounds": True}, "without bounds"),
-        ([[1, 1.0]], [(0.5, 0.5)], {"heights": [[1.0, 1]], "slope_cost": np.zeros_like}, "must return positive numbers"),
+        (
+            [[1, 1.0]],
+            [(0.5, 0.5)],
+            {"heights": [[1.0, 1]], "slope_cost": np.zeros_like},
+            "must return positive numbers",
+        ),
     ],
 )
 def test_wrong_arguments_are_named(costs, sources, options, message):

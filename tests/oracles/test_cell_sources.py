@@ -190,63 +190,32 @@ def test_sources_are_the_graphs_vertices_and_lead_to_the_goal():
     assert onward[0] == 0 and (onward[reached][1:] != np.flatnonzero(reached)[1:]).all()
 
 
-# Many goals at once: as each alone, but for what is counted from the least, and shared.
+# Many goals at once: samples of boxes, and the distances and first turns of every goal there.
 
-GRID = Cells(np.full((16, 2), 2), np.stack(np.divmod(np.arange(16), 4), axis=1))
+GRID = Cells(np.full((256, 2), 4), np.stack(np.divmod(np.arange(256), 16), axis=1))
 
 
-def family_of(workspace, goals):
-    """Oracles of goals of one workspace, and the distinct sources of sixteen boxes that fill its bounds."""
+@pytest.mark.parametrize("squeeze", [False, True])
+@given(seed=SEEDS)
+def test_samples_of_a_family_lie_in_their_boxes_and_know_all_first_turns(seed, squeeze):
+    workspace = WORKSPACES[seed % 3](np.random.default_rng(seed), squeeze)
+    goals = workspace.sample_free(3, seed)
     first = VisibilityGraph(workspace, goals[0])
-    oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
     lo, hi = GRID.boxes(workspace.bounds)
-    shared = first.shared_cells(workspace.bounds, lo, hi)
-    return oracles, VisibilityGraph.family_sources(shared, oracles), lo, hi
-
-
-@given(SEEDS)
-def test_every_members_distances_are_within_the_bounds(seed):
-    """After one constant a cell; and a member has all cells from which its goal can be reached."""
-    rng = np.random.default_rng(seed)
-    workspace = WORKSPACES[seed % 3](rng)
-    oracles, (found, key, node_of), lo, hi = family_of(workspace, workspace.sample_free(4, seed))
-    assert node_of.shape == (4, 16) and len(key) == found.num_cells == node_of.max() + 1
-    for oracle, of_cell in zip(oracles, node_of, strict=True):
-        cells = found.of_cells(of_cell[of_cell >= 0])
-        offset = oracle(cells.center) - cells.distance
-        constant = offset[cells.first_piece[:-1]][cells.cell]
-        np.testing.assert_allclose(offset, constant, atol=3 * found.slack)
-        check_bounds(oracle, cells, rng, 3 * found.slack, constant)
-        x = rng.uniform(lo + 1e-6, hi - 1e-6, (40, 16, 2))
-        hits = np.isfinite(oracle(x.reshape(-1, 2)).reshape(40, 16)).any(axis=0)
-        assert (of_cell[hits] >= 0).all()
-
-
-def test_cells_behind_a_corner_are_one_for_all_goals_that_are_reached_by_it():
-    """Behind a wall from (0, 5) to (8, 5) all paths to goals below, left of it, go by its tip."""
-    workspace = Workspace(TEN, [box(0, 4.9, 8, 5.1)])
-    goals = [(1.0, 1), (2, 2), (3, 0.5)]
-    _, (found, _, node_of), lo, _ = family_of(workspace, goals)
-    behind = (lo[:, 1] > 5.1) & (lo[:, 0] < 7)
-    assert behind.sum() == 3
-    assert (node_of[:, behind] == node_of[0, behind]).all()
-    assert len(np.unique(node_of[:, ~behind])) > 3 * 4
-    least = np.full(found.num_cells, np.inf)
-    np.minimum.at(least, found.cell[found.piece], found.sources.distances[found.source])
-    np.testing.assert_array_equal(least, 0)
-
-
-def test_parts_that_are_alike_are_settled_once():
-    _, (found, _, _), _, _ = family_of(MIDDLE, [(1.0, 5), (2, 4.5)])
-    node, hash_of_box = np.array([0, 0, 1]), np.array([3, 3, 5], np.uint64)  # the first twice
-    lo, hi = (
-        np.stack([end(found.pieces[:, found.cell == i], axis=(1, 2)) for i in node]) for end in (np.min, np.max)
-    )
-    hi[:, 0] = (lo[:, 0] + hi[:, 0]) / 2
-    axis, is_upper = np.zeros(3, int), np.zeros(3, bool)
-    parts, key, once, which = found.distinct_parts(node, axis, is_upper, lo, hi, hash_of_box)
-    assert parts.num_cells == len(key) and which.tolist() == [0, 0, 1] and once.tolist() == [0, 2]
-    alone = found.parts(node[once], axis[once], is_upper[once], lo[once], hi[once])
-    np.testing.assert_array_equal(parts.pieces, alone.pieces)
-    np.testing.assert_array_equal(parts.by_all, alone.by_all)
-    np.testing.assert_array_equal(parts.views(parts.source), alone.views(alone.source))
+    samples = first.shared_samples(lo, hi)
+    free = shapely.area(shapely.intersection(shapely.box(*lo.T, *hi.T), workspace.free_space))
+    np.testing.assert_allclose(samples.weight, free / np.prod(hi - lo, axis=1), atol=1e-7)
+    some = samples.weight > 0
+    x = samples.x[some]
+    assert np.isnan(samples.x[~some]).all() and workspace.is_free(x).all()
+    assert ((lo[some] <= x) & (x <= hi[some])).all()
+    for oracle in (first, *map(first.with_goal, goals[1:])):
+        distance, vertex = oracle.first_turns(samples)
+        expected = np.full(len(lo), np.inf)
+        expected[some] = oracle(x)
+        np.testing.assert_allclose(distance, expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(vertex >= 0, np.isfinite(expected))
+        reached, vertex, sources = vertex >= 0, vertex[vertex >= 0], oracle.sources
+        way = sources.distances[vertex] + np.linalg.norm(samples.x[reached] - sources.points[vertex], axis=1)
+        np.testing.assert_allclose(distance[reached], way, rtol=1e-12)
+        assert workspace.is_visible(samples.x[reached], sources.points[vertex]).all()

@@ -104,14 +104,14 @@ def limits_for(**given):
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
 
 
-def size(member, tree):
+def size(tree):
     return 10 + 3 * len(tree)
 
 
 def best_boxes(root, **given):
     levels = [BoxLevel.of(root, root.cells.hashes())]
-    price_search = PriceSearch(levels, np.zeros(1, np.int64), limits_for(**given), size)
-    (tree,) = grow(price_search.first(), price_search.next, limits_for(**given)).trees
+    price_search = PriceSearch(levels, limits_for(**given), size)
+    tree = grow(price_search.first(), price_search.next, limits_for(**given))
     first, *others = (level.boxes[box] for level, box in zip(levels, tree.leaves, strict=False))
     return first.append(*others)
 

@@ -2,7 +2,6 @@
 
 import tracemalloc
 from dataclasses import replace
-from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +15,11 @@ from plr_helpers import UNIT, leaf_by_search, points
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.best_partition import PriceSearch, SearchPruning
-from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.leaves.cone import search
+from plr_jax.plr.leaves.cone import family, search
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, read_cones, store_sources, write_cones
-from plr_jax.plr.sampling import sample_pattern
+from plr_jax.plr.tree import Cells, tree_of_axes
 
 # Cones of an oracle: small, exact, evaluated as cones, above other leaves within bounds, of sources in sight.
 
@@ -276,81 +272,47 @@ def test_domains_of_any_width(width):
     np.testing.assert_allclose(found.sources.offsets[index], distances, rtol=1e-6)
 
 
-# A family's boxes: above those that all start at, below them, and the best trees, beside recursions.
+# A family's boxes: their best sources beside all sources, and trees beside a recursion.
 
 
-MAZE = scenes.maze().workspace
-# A wall behind which one corner serves all, and a room of its own that no goal reaches.
-CORNER = Workspace(((0, 0), (1, 1)), [[(0.5, 0.25), (0.52, 0.25), (0.52, 0.75), (0.5, 0.75)]])
+def test_boxes_have_the_best_source_of_their_halves_and_its_errors_at_samples():
+    workspace, lattice = scenes.maze().workspace, family.Lattice(3)
+    oracle = VisibilityGraph(workspace, (0.06, 0.07))
+    cells = Cells(np.full((64, 2), 3), np.stack(np.divmod(np.arange(64), 8), axis=1))
+    samples = oracle.shared_samples(*cells.boxes(UNIT))
+    fits = family.fit_boxes(lattice, family.goal_samples(oracle, samples), 0.0)
+    error = np.linalg.norm(samples.x[:, None] - oracle.sources.points, axis=2) + oracle.sources.distances
+    error = np.abs(error - oracle(samples.x)[:, None])
+    mixed = 0
+    for shape, number in [(each, i) for each in lattice.first for i in range(1 << sum(each))]:
+        box = lattice.first[shape] + number
+        place = np.stack([number >> shape[1], number & ((1 << shape[1]) - 1)])
+        inside = (cells.position >> (3 - np.array(shape)) == place).all(axis=1) & (samples.weight > 0)
+        source, halves = fits.source[box], lattice.child[:, box][lattice.child[:, box] >= 0]
+        mean = samples.weight[inside] @ error[inside] / 64
+        np.testing.assert_allclose(fits.integral[box], mean[source], atol=1e-15)
+        np.testing.assert_allclose(fits.largest[box], error[inside, source].max(initial=0.0), atol=1e-15)
+        assert mean[source] <= mean[fits.source[halves]].min(initial=np.inf) + 1e-15
+        mixed += fits.is_mixed[box]
+    assert mixed > 20 and (fits.integral[fits.is_mixed] > 0).any()
 
 
-def limits_of(max_leaves=None, max_depth=None, max_axis_depth=None):
-    return check_limits(leaf_model("cone"), 2, max_depth, max_leaves, None, None, Proof.NONE, 13)
+@pytest.mark.parametrize("max_depth", [3, 4, 60])
+def test_trees_are_those_of_a_recursion(max_depth):
+    lattice, rng = family.Lattice(2), np.random.default_rng(5)
+    depth = np.repeat([sum(shape) for shape in lattice.first], [1 << sum(shape) for shape in lattice.first])
+    costs = rng.random(lattice.num_boxes) * 3.0**-depth
 
+    def least(box):
+        ways = [costs[box] + price]
+        if depth[box] < max_depth:
+            ways += [least(lower) + least(upper) for lower, upper in lattice.child[:, box] if lower >= 0]
+        return min(ways)
 
-def task_of(workspace, oracle, limits):
-    return search.family_task(oracle, workspace.bounds, limits, sample_pattern(2, 96, 0, 0))
-
-
-def levels_of_family(monkeypatch, workspace, goals, max_leaves):
-    """What the search is given: levels of boxes, the box that each starts at, and how many splits are above."""
-    first = VisibilityGraph(workspace, goals[0])
-    oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
-    given = []
-    monkeypatch.setattr(search, "best_cones", lambda *arguments: given.append(arguments) or [])
-    task = task_of(workspace, first, limits_of(max_leaves))
-    task(oracles)
-    return given[0][0], given[0][1], len(task.halves)
-
-
-@pytest.mark.parametrize("workspace", [MAZE, CORNER], ids=["maze", "corner"])
-def test_boxes_above_the_start_are_leaves_where_one_source_serves_all(workspace, monkeypatch):
-    levels, roots, splits = levels_of_family(monkeypatch, workspace, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**5)
-    assert splits == 5 and len(roots) == 2
-    found = 0
-    for level, below in pairwise(levels):
-        for number in range(len(level.key)):
-            sources = [
-                set(below.boxes.source[both][below.boxes.source[both] >= 0])
-                for both in level.child[:, :, number]
-                if both[0] >= 0 and (below.boxes.error[both] == 0).all()
-            ]
-            is_one = any(len(each) <= 1 for each in sources)
-            assert level.boxes.error[number] == (0.0 if is_one else np.inf)
-            found += is_one
-    assert found
-
-
-def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
-    levels, roots, _ = levels_of_family(monkeypatch, MAZE, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**3)
-    price_search = PriceSearch(
-        levels, roots, limits_of(64), lambda member, tree: 0, pruning=SearchPruning(1.2, 4, 0.99)
-    )
-    forest = price_search.first()
-    while (larger := price_search.next(forest)) is not None:
-        forest = larger
-    for level, below in pairwise(levels[3:]):
-        assert len(np.unique(below.key)) == len(below.key) == len(below.boxes.cells)
-        axis, side, box = np.nonzero(level.child >= 0)
-        half, expected = (
-            below.boxes.cells[level.child[axis, side, box]],
-            level.boxes.cells[box].halves(axis, side == 1),
-        )
-        np.testing.assert_array_equal(half.position, expected.position)
-    for member, tree in enumerate(forest.trees):
-        assert 32 < len(tree) <= 64
-        share, costs = 0.01 / 64, [level.costs(0.01 / 64) for level in levels]
-        found = price_search._best_tree(member, tree.price, share)
-        memo = {}
-
-        def best(depth, box, price=tree.price, costs=costs, memo=memo):
-            if (depth, box) not in memo:
-                ways = [costs[depth][box] + price]
-                if costs[depth][box] > price:
-                    halves = [each for each in levels[depth].child[:, :, box].tolist() if each[0] >= 0]
-                    ways += [sum(best(depth + 1, half) for half in both) for both in halves]
-                memo[depth, box] = min(ways)
-            return memo[depth, box]
-
-        total = sum(float(cost[box].sum()) for cost, box in zip(costs, found.leaves, strict=False))
-        np.testing.assert_allclose(total + tree.price * len(found), best(0, int(roots[member])), rtol=1e-12)
+    for price in (1.0, 0.1, 0.01, 0.0):
+        tree = family.best_tree(lattice, costs, price, max_depth)
+        np.testing.assert_allclose(costs[tree.box].sum() + price * len(tree.box), least(0), rtol=1e-12)
+        found = tree_of_axes(tree.axes, 2)
+        starts = np.array([lattice.first[tuple(shape)] for shape in found.leaves.depth.tolist()])
+        number = (found.leaves.position[:, 0] << found.leaves.depth[:, 1]) + found.leaves.position[:, 1]
+        np.testing.assert_array_equal(tree.box, starts + number)

@@ -52,18 +52,22 @@ def errors_of(plr, oracle, x):
     return np.abs(np.asarray(plr(x), np.float64) - oracle(x))
 
 
-def test_members_are_about_as_good_as_alone_and_fill_the_budget(oracles, family):
+def test_members_are_better_than_alone(oracles, family):
     x, alone, together = MAZE.sample_free(4000, seed=1), [], []
     for plr, oracle in zip(family, oracles, strict=True):
-        assert 0.95 * 300 <= plr.num_bytes <= 300
+        assert plr.num_bytes <= 300
         assert np.ldexp(1.0, -plr.cells.depth.sum(axis=1)).sum() == 1
         again = plr_jax.from_bytes(plr.to_bytes())
         np.testing.assert_array_equal(again.cells.position, plr.cells.position)
         np.testing.assert_array_equal(again(x), plr(x))
         together.append(errors_of(plr, oracle, x).mean())
         alone.append(errors_of(plr_jax.construct(oracle, MAZE.bounds, **CONES), oracle, x).mean())
-    assert np.mean(together) < 1.3 * np.mean(alone)
+    assert np.mean(together) < np.mean(alone)
     assert np.max(together) < 2 * np.max(alone)
+
+
+def test_files_fill_the_budget_while_errors_are_left(oracles):
+    assert all(0.95 * 200 <= plr.num_bytes <= 200 for plr in many(oracles, max_bytes=200))
 
 
 def test_a_members_sources_are_those_of_its_own_goal(oracles, family):

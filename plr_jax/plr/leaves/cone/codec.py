@@ -25,6 +25,8 @@ Coordinates of sources, sorted by the first axis, then the next:
 ``plr/coding.py`` defines signed numbers and codes.
 """
 
+from bisect import bisect_left
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -96,8 +98,12 @@ def store_sources(
     offsets: Float[np.ndarray, "sources"],
     parents: Int[np.ndarray, "sources"],
     domain: Box,
+    is_off: Bool[np.ndarray, "sources fractions"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources in their file form, without duplicates, and the new index of each given source."""
+    """Return sources in their file form, without duplicates, and the new index of each given source.
+
+    ``is_off`` may give the result of :func:`off_lattices` for the points.
+    """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -109,35 +115,43 @@ def store_sources(
             f"A file can hold fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}. Use another leaf model."
         )
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
-    fraction, is_fine = _lattice(points, domain, exponent)
+    fraction, is_fine = _lattice(off_lattices(points, domain) if is_off is None else is_off, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
     rows = np.column_stack([~is_fine, code])
-    rows, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    parent, each = index.ravel()[parents[first]], np.arange(len(first))
+    order = np.lexsort(rows.T[::-1])
+    is_new = np.append(True, (rows[order[1:]] != rows[order[:-1]]).any(axis=1))
+    first, index = order[is_new], np.empty(len(rows), np.int64)
+    index[order], rows = np.cumsum(is_new) - 1, rows[first]
+    parent, each = index[parents[first]], np.arange(len(first))
     root_offset = np.where(parent == each, offsets[first].astype(np.float32).astype(np.float64), 0.0)
     num_fine = int(np.count_nonzero(rows[:, 0] == 0))
-    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset), index.ravel()
+    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset), index
 
 
-def _lattice(
-    points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
-) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Return ``n`` of the lattice ``1 / n`` that takes the fewest bits, and which sources do not lie on it."""
+def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
+    """Return, for each point, which of the lattices ``1 / n`` that files can state do not contain it."""
     # A little more than workspaces round the corners that they are given.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
+    is_off = np.zeros((len(points), len(_LATTICES)), bool)
+    for along in points.T:
+        scaled = along[:, None] * _LATTICES
+        is_off |= np.abs(scaled - np.rint(scaled)) > _LATTICES * rounding
+    return is_off
+
+
+def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
+    """Return ``n`` of the lattice ``1 / n`` that takes the fewest bits, and which sources do not lie on it."""
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
-        return 1, np.ones(len(points), bool)
-    scaled = points * fractions[:, None, None]
-    is_off = (np.abs(scaled - np.rint(scaled)) > fractions[:, None, None] * rounding).any(axis=2)
-    bits = np.where(is_off, _FINE_BITS, np.log2(fractions)[:, None]).sum(axis=1)
-    best = int(np.argmin(bits))
-    return int(fractions[best]), is_off[best]
+        return 1, np.ones(len(is_off), bool)
+    off = np.count_nonzero(is_off[:, : len(fractions)], axis=0)
+    best = int(np.argmin(off * _FINE_BITS + (len(is_off) - off) * np.log2(fractions)))
+    return int(fractions[best]), is_off[:, best]
 
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     _write_sources(body, domain, cones.sources)
-    _write_ranks(body, cones.source, len(cones.sources.code))
+    _write_ranks(body, cones.source)
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
@@ -155,13 +169,20 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
 
 
-def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"], num_sources: int) -> None:
+def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
     """Append the rank of each leaf's source in a move-to-front list, 0 for the source of the leaf before."""
-    rank, recent = np.zeros(len(source), np.int64), list(range(num_sources))
+    rank = np.zeros(len(source), np.int64)
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
+    # Two short lists replace the whole one: used sources, the most recent first and sorted; unused ones follow.
+    recent, used = [0], [0]
     for each in source[changes].tolist():
-        ranks.append(place := recent.index(each))
-        recent.insert(0, recent.pop(place))
+        if (place := bisect_left(used, each)) < len(used) and used[place] == each:
+            ranks.append(recent.index(each))
+            recent.remove(each)
+        else:
+            ranks.append(len(used) + each - place)
+            used.insert(place, each)
+        recent.insert(0, each)
     rank[changes] = ranks
     for each in range(_ESCAPE):
         body.write((rank == each).astype(np.int64), 1)
@@ -246,7 +267,15 @@ class ConeFiles:
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
+        self._is_off = off_lattices(sources.points, domain)
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
+
+    def of_goal(self, sources: Sources) -> "ConeFiles":
+        """Return the encoder for another goal, source 0, of the same corners."""
+        files = copy(self)
+        files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
+        files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
+        return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
         """Encode the leaves, in tree order; a leaf without a source (-1) gets the source of the leaf before."""
@@ -255,23 +284,27 @@ class ConeFiles:
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
         """Return the size of the leaves' file, including its proof."""
         cones, num_bits = self._stored(source)
-        _write_ranks(body := BitWriter(), cones.source, len(cones.sources.code))
+        _write_ranks(body := BitWriter(), cones.source)
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
 
     def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
-        is_kept, used = np.zeros(len(sources.parents), bool), np.unique(source)
+        is_kept, used = np.zeros(len(sources.parents), bool), source
         while len(used):  # add parents, their parents, and so on
             is_kept[used] = True
-            used = np.unique(sources.parents[used])
+            used = sources.parents[used]
             used = used[~is_kept[used]]
         kept = np.flatnonzero(is_kept)
         if kept.tobytes() not in self._cache:
             place = np.searchsorted(kept, np.arange(len(sources.parents)))
             stored, index = store_sources(
-                sources.points[kept], sources.distances[kept], place[sources.parents[kept]], self._domain
+                sources.points[kept],
+                sources.distances[kept],
+                place[sources.parents[kept]],
+                self._domain,
+                self._is_off[kept],
             )
             _write_sources(body := BitWriter(), self._domain, stored)
             self._cache[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits

@@ -1,39 +1,33 @@
-"""Find the best partitions into cone leaves within the limits of a file, for one goal or for many of a workspace.
+"""Find the best partitions into cone leaves within the limits of a file, for one goal.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones``).
+2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones_of_goal``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
-4. For many goals, boxes that are equal for several goals are computed once (``FamilyTask``).
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import take_ragged
-from plr_jax._types import CellSources, FamilyFn, Sources
+from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import (
-    EXACT,
-    PRUNED,
     BoxLevel,
-    Forest,
     PricedTree,
     PriceSearch,
-    SearchPruning,
-    may_halve,
 )
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import bounds_of_pieces
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
-from plr_jax.plr.tree import Cells, Rows, Tree, grown_domain, tree_of, tree_of_axes
+from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 # 1. Boxes and their best cones.
 
@@ -74,26 +68,14 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Halve boxes; return the distinct halves with keys not ``known``, their keys, and the keys of all halves.
-
-        For one goal, a key identifies the box; in a search for many goals, also its convex pieces and sources.
-        """
-        cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
+        """Halve boxes; return the distinct halves with keys not ``known``, their keys, and the keys of all halves."""
+        cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
-        if visible.is_family:
-            found, key, first, index = visible.distinct_parts(parent, axis, is_upper, lo, hi, cells.hashes())
-            new = _first_of_new(key, known)
-            rows, found, of_half = first[new], found.of_cells(new), key[index]
-        else:
-            key = of_half = cells.hashes()
-            new = rows = _first_of_new(key, known)
-            found = visible.parts(parent[rows], axis[rows], is_upper[rows], lo[rows], hi[rows])
-        return fit_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
-
-
-def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
-    distinct, first = np.unique(key, return_index=True)
-    return np.sort(first[~np.isin(distinct, known)])
+        key = cells.hashes()
+        _, first = np.unique(key, return_index=True)
+        new = np.sort(first[~np.isin(key[first], known)])
+        found = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
+        return fit_boxes(self.domain, self.negligible, cells[new], found), key[new], key
 
 
 def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
@@ -164,7 +146,7 @@ def option_errors(
 # alternatives of each box are computed once for all trees that have the box as a leaf.
 
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
-_LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 _KEY_BITS = 40  # bits for the index of a box in its level
 
@@ -181,12 +163,10 @@ class LeafBoxes:
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, keeps_split_order: bool) -> tuple[Tree, LeafBoxes]:
-    """Return a tree as files store it (as it was split, or in canonical form), and its leaves in that order."""
-    found, order = tree_of_axes(tree.axes, 2), tree.order
-    if not keeps_split_order:
-        found = tree_of(found.leaves)
-        order = order[found.order]
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> tuple[Tree, LeafBoxes]:
+    """Return a tree in the canonical form of files, and its leaves in that order."""
+    found = tree_of(tree_of_axes(tree.axes, 2).leaves)
+    order = tree.order[found.order]
     depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
     return found, LeafBoxes(leaf_views(levels, tree)[order], depth[order], box[order])
 
@@ -250,7 +230,7 @@ def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Patt
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
     cone = sources.distances[source, None] + np.linalg.norm(x[place] - sources.points[source, None], axis=2)
     above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
-    is_hidden = above > _LEAST_SHORTFALL * width
+    is_hidden = above > LEAST_SHORTFALL * width
     error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
     largest, integral = option_errors(some.visible, place, source)
     area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
@@ -263,46 +243,66 @@ def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
     return (tree.depth << _KEY_BITS) + tree.box
 
 
+class LeafOptions(NamedTuple):
+    """Pairs of a leaf and a source that it may have instead; columns as in :class:`SourceOptions`."""
+
+    leaf: Int[np.ndarray, "options"]
+    view: Int[np.ndarray, "options"]
+    is_own: Bool[np.ndarray, "options"]
+    by_all: Bool[np.ndarray, "options"]
+    error: Float[np.ndarray, "options"]
+    hidden: Float[np.ndarray, "options"]
+    largest: Float[np.ndarray, "options"]
+    integral: Float[np.ndarray, "options"]
+    area: Float[np.ndarray, "options"]
+
+
 def prefer_visible_sources(
     tree: LeafBoxes, options: SourceOptions, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return each leaf's source, as its number among corners and goals; prefer sources that the leaf sees.
+    """Return each leaf's source, as its number among corners and the goal; prefer sources that the leaf sees.
 
-    No proven error rises above the largest one of all leaves. The most useful changes come first, as many as fit.
+    No proven error rises above the largest one of all leaves.
     """
-    leaf, view = _changes(tree, options)
-
-    def changed(count: int) -> Int[np.ndarray, "leaves"]:
-        views = tree.source.copy()
-        views[leaf[:count]] = view[:count]
-        return views
-
-    if fits(changed(len(leaf))):
-        return changed(len(leaf))
-    return changed(bisect_left(range(1, len(leaf)), True, key=lambda count: not fits(changed(count))))
-
-
-def _changes(
-    tree: LeafBoxes, options: SourceOptions
-) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
-    """Return the leaves that gain by another source, and its number, sorted by falling gain in error times area."""
     boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
     option, leaf = take_ragged(options.first, box)
+    some = LeafOptions(leaf, *(getattr(options, name)[option] for name in LeafOptions._fields[1:]))
+    most = max(float(boxes.error[box].max()), boxes.negligible)
+    return change_sources(tree.source, some, float(boxes.integral[box].sum()), most, fits)
+
+
+def change_sources(
+    source: Int[np.ndarray, "leaves"],
+    options: LeafOptions,
+    total: float,
+    most: float,
+    fits: Callable[[Int[np.ndarray, "leaves"]], bool],
+) -> Int[np.ndarray, "leaves"]:
+    """Change leaves to sources that they see; the most useful changes come first, as many as fit.
+
+    A hidden source costs ``total``, the mean error of all leaves, times a constant. No error rises above ``most``.
+    """
+    leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
-        return leaf, leaf
-    is_own = options.is_own[option]
-    cost = options.error[option] + _PRICE * float(boxes.integral[box].sum()) * options.hidden[option]
-    is_barred = ~is_own & (options.largest[option] > max(float(boxes.error[box].max()), boxes.negligible))
-    order = np.lexsort(
-        (options.view[option], options.integral[option], ~is_own, ~options.by_all[option], cost, is_barred, leaf)
-    )
+        return source
+    cost = options.error + _PRICE * total * options.hidden
+    is_barred = ~is_own & (options.largest > most)
+    order = np.lexsort((options.view, options.integral, ~is_own, ~options.by_all, cost, is_barred, leaf))
     best = order[np.append(True, leaf[order[1:]] != leaf[order[:-1]])]
-    own_cost = np.zeros(len(tree.source))
+    own_cost = np.zeros(len(source))
     own_cost[leaf[is_own]] = cost[is_own]
-    gain = (own_cost[leaf[best]] - cost[best]) * options.area[option[best]]
+    gain = (own_cost[leaf[best]] - cost[best]) * options.area[best]
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
-    return leaf[best], options.view[option[best]]
+
+    def changed(count: int) -> Int[np.ndarray, "leaves"]:
+        views = source.copy()
+        views[leaf[best[:count]]] = options.view[best[:count]]
+        return views
+
+    if fits(changed(len(best))):
+        return changed(len(best))
+    return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
 # 2. The best trees.
@@ -311,167 +311,35 @@ _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 ConeTree: TypeAlias = tuple[Tree, StoredCones]
 """A tree, and the file form of its leaves in the order of its traversal."""
-Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
-"""Function that repeats a step on trees until the step returns None, and returns the last trees."""
+Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
+"""Function that repeats a step on a tree until the step returns None, and returns the last tree."""
 
 
-def run_quietly(forest: Forest, step: Callable[[Forest], Forest | None]) -> Forest:
+def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
     """Repeat a step until it returns None, without a progress bar; interrupts (Ctrl-C) pass through."""
-    while (larger := step(forest)) is not None:
-        forest = larger
-    return forest
+    while (larger := step(tree)) is not None:
+        tree = larger
+    return tree
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cone leaves for one goal; ``visible``: the sources of the domain, slightly enlarged."""
+    """Find the best cone leaves for one goal, and change their sources to visible ones.
+
+    ``visible`` are the sources of the domain, slightly enlarged; ``run`` is :func:`grow` or :func:`run_quietly`.
+    """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible)
     levels = [BoxLevel.of(box, box.cells.hashes())]
-    root = np.zeros(1, np.int64)
-    return best_cones(levels, root, [visible.sources], domain, limits, pattern, run)[0]
+    files = ConeFiles(visible.sources, domain)
 
+    def size(tree: PricedTree) -> int:
+        return files.num_bytes(tree_of_leaves(levels, tree)[1].source, limits) * (_ROOM + 1) // _ROOM
 
-def best_cones(
-    levels: list[BoxLevel],
-    roots: Int[np.ndarray, "members"],
-    sources: Sequence[Sources],
-    domain: Box,
-    limits: Limits,
-    pattern: Pattern,
-    run: Run,
-    pruning: SearchPruning = EXACT,
-) -> list[ConeTree]:
-    """Find the best leaves for each member (goal), and change their sources to visible ones.
+    search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
+    tree, leaves = tree_of_leaves(levels, run(search.first(), search.next))
 
-    A member's tree starts at its box in ``roots``, of the first level. Its ``sources`` are corners and its goal: for
-    one goal the goal comes first, in a family last. ``run`` is :func:`grow` or :func:`run_quietly`.
-    """
-    files = [ConeFiles(each, domain) for each in sources]
+    def fits(view: Int[np.ndarray, "leaves"]) -> bool:
+        return files.num_bytes(view, limits) <= limits.max_bytes
 
-    def views(member: int, view: Int[np.ndarray, "leaves"]) -> Int[np.ndarray, "leaves"]:
-        # A family numbers all goals after the corners, but a member's table has only its own goal, at the end.
-        return np.minimum(view, len(sources[member].points) - 1)
-
-    def size(member: int, tree: PricedTree) -> int:
-        if pruning.keeps_split_order:
-            view = leaf_views(levels, tree)[tree.order]
-        else:
-            view = tree_of_leaves(levels, tree, keeps_split_order=False)[1].source
-        return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
-
-    num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
-    search = PriceSearch(levels, roots, limits, size, num_sources, pruning)
-    trees = [
-        tree_of_leaves(levels, tree, pruning.keeps_split_order) for tree in run(search.first(), search.next).trees
-    ]
-    options, members = source_options(levels, [leaves for _, leaves in trees], pattern), []
-    for member, (tree, leaves) in enumerate(trees):
-
-        def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
-            return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
-
-        view = views(member, prefer_visible_sources(leaves, options, fits))
-        members.append((tree, files[member].stored(view)))
-    return members
-
-
-# 4. Many goals of one workspace: a box that is equal for several goals is computed once for all of them.
-#
-# Boxes of few splits have different sources for every goal, and are hardly ever leaves of a good tree unless one
-# source serves all of the box. So all goals *start* at boxes with a fixed number of splits. A larger box becomes a
-# leaf only if all start boxes in it have no error and the same source. If sources take most of the bytes (such as 100
-# corners in 1 KB), good trees have fewer and larger leaves; so a single goal starts at the whole domain.
-
-_MOST_SPLITS, _LEAVES_A_START = 9, 8.0  # splits of start boxes; expected leaves in each
-_BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # estimates for the number of leaves
-_RESOLVED = float(np.finfo(np.float32).eps / 4)  # relative error below the resolution of queries
-# Pruning of boxes that are seldom leaves halves the time of the search.
-_FAMILY_PRUNING = SearchPruning(1.0, 5, 0.99, keeps_split_order=True)
-_ANY, _NONE = -1, -2  # in place of a source: nothing reaches the goal; several sources or an error
-
-
-@dataclass(frozen=True, eq=False)
-class FamilyTask:
-    """A builder of cone leaves for oracles of one family (goals of one workspace); call it with some of them.
-
-    Searches begin at start boxes; ``shared`` has their data that all oracles share. ``upper_cells`` are the cells of
-    each number of splits, up to the start boxes; ``halves`` has each cell's halves as indices into the next cells.
-    """
-
-    shared: Any
-    upper_cells: list[Cells]
-    halves: list[Int[np.ndarray, "2 2 _"]]
-    domain: Box
-    limits: Limits
-    pattern: Pattern
-
-    def __call__(self, oracles: Sequence[FamilyFn]) -> list[ConeTree]:
-        found, key, node_of = oracles[0].family_sources(self.shared, oracles)
-        if (lost := np.flatnonzero((node_of < 0).all(axis=1))).size:
-            raise ValueError(
-                f"The goal of oracle {lost[0]} must be reachable from somewhere in the domain. Check that it is free."
-            )
-        # Boxes from which nothing reaches a goal have no pieces; add them after the others.
-        cells, limits = self.upper_cells[-1], self.limits
-        place, empty = np.zeros(found.num_cells, np.int64), np.unique(np.nonzero(node_of < 0)[1])
-        place[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
-        node_of = np.where(node_of < 0, found.num_cells + np.searchsorted(empty, np.arange(len(cells))), node_of)
-        lowest, found = cells[np.append(place, empty)], replace(found, num_cells=found.num_cells + len(empty))
-        negligible = max(limits.tolerance, _RESOLVED * float(self.domain.width.max()))
-        boxes = fit_boxes(self.domain, negligible, lowest, found)
-        key = np.append(key, cells[empty].hashes())
-        levels = [*self._upper_levels(boxes, node_of), BoxLevel.of(boxes, key)]
-        roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
-        sources = [_corners_first(oracle.sources) for oracle in oracles]
-        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, run_quietly, _FAMILY_PRUNING)
-
-    def _upper_levels(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
-        """Make the boxes above start boxes, for each goal; the error is 0 if one source is exact, else ``inf``."""
-        levels, node = [], node_of
-        nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
-        is_alone = (boxes.source < 0) | (sole_sources(boxes.visible) >= 0)
-        source = np.where(is_alone, boxes.source, _NONE)[node_of]
-        for cells, child in zip(reversed(self.upper_cells[:-1]), reversed(self.halves), strict=True):
-            common = np.full((len(source), len(cells)), _NONE)
-            for lower, upper in child:
-                some = np.flatnonzero(lower >= 0)
-                both = np.stack([source[:, lower[some]], source[:, upper[some]]])
-                least, most = both.min(axis=0), both.max(axis=0)
-                alike = (least == most) | (least == _ANY)
-                common[:, some] = np.maximum(common[:, some], np.where(alike, most, _NONE))
-            source, count = common, common.size
-            below = np.where(child >= 0, node[:, child], PRUNED).transpose(1, 2, 0, 3).reshape(2, 2, count)
-            node = np.arange(count).reshape(common.shape)
-            error = np.where(common == _NONE, np.inf, 0.0).ravel()
-            cells, visible = cells[np.tile(np.arange(len(cells)), len(common))], replace(nothing, num_cells=count)
-            above = ConeBoxes(
-                boxes.domain, boxes.negligible, cells, visible, np.maximum(common.ravel(), -1), error, error
-            )
-            levels.insert(0, BoxLevel(above, np.arange(count, dtype=np.uint64), below))
-        return levels
-
-
-def family_task(first: FamilyFn, domain: Box, limits: Limits, pattern: Pattern) -> FamilyTask:
-    """Make the builder for the family to which the oracle ``first`` belongs."""
-    # Estimate the number of leaves that the limits allow.
-    room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
-    of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-    num_leaves = max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof)))
-    splits = int(np.clip(np.log2(num_leaves / _LEAVES_A_START), 0, min(_MOST_SPLITS, limits.max_depth)))
-    upper_cells, halves = [Cells.root(2)], []
-    for _ in range(splits):
-        axis, parent = (np.repeat(each, 2) for each in np.nonzero(may_halve(upper_cells[-1], limits)))
-        is_upper = np.arange(len(parent)) % 2 == 1
-        cells = upper_cells[-1][parent].halves(axis, is_upper)
-        _, first_half, index = np.unique(cells.hashes(), return_index=True, return_inverse=True)
-        halves.append(np.full((2, 2, len(upper_cells[-1])), PRUNED))
-        halves[-1][axis, is_upper.astype(int), parent] = index
-        upper_cells.append(cells[first_half])
-    shared = first.shared_cells(grown_domain(domain), *upper_cells[-1].grown_boxes(domain))
-    return FamilyTask(shared, upper_cells, halves, domain, limits, pattern)
-
-
-def _corners_first(sources: Sources) -> Sources:
-    """Return sources in the order of a family's numbers: corners first, the goal last."""
-    parents = np.roll(sources.parents - 1, -1) % len(sources.parents)
-    return Sources(np.roll(sources.points, -1, axis=0), np.roll(sources.distances, -1), parents)
+    view = prefer_visible_sources(leaves, source_options(levels, [leaves], pattern), fits)
+    return tree, files.stored(view)

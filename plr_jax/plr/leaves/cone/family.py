@@ -1,0 +1,358 @@
+"""Find the best partitions into cone leaves for many goals of one workspace, from samples that all goals share.
+
+A grid of boxes has one sample of free space each, and the corners that each sample sees are the same for all goals.
+So for one goal, the distances at all samples take one addition per pair of a sample and a corner.
+
+1. Every dyadic box gets the cone of the smallest mean error at its samples (``fit_boxes``). Candidates are the best
+   sources of the box's halves. Most boxes use one source at all samples and have no error.
+2. Dynamic programming finds the tree that minimizes error plus a price per leaf. The price is adjusted until the
+   file fills the limits (``_largest_tree``).
+3. Leaves change to sources that they see, if errors hardly grow (``change_sources``).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._types import FamilyFn, Sources
+from plr_jax.geometry.box import Box
+from plr_jax.plr.best_partition import LEAST_SHARE, LEAST_SHARE_PROVEN, MAX_ASPECT_BITS
+from plr_jax.plr.certificate import Proof
+from plr_jax.plr.growth import Limits
+from plr_jax.plr.leaves.cone.codec import ConeFiles
+from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ConeTree, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.tree import MAX_DEPTH, Cells, tree_of_axes
+
+_LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
+_SAMPLES_A_LEAF, _MOST_LEAVES = 16, 8192  # with more leaves, cones of one goal have smaller errors
+_BITS_A_LEAF, _BITS_A_SOURCE, _MOST_OF_SOURCES = 4.4, 43, 0.85  # estimates for the number of leaves
+_SOME_SAMPLES = 64  # of a box that are evaluated before it is a leaf
+_MOST_OPTIONS = 4  # sources to which a leaf may change, besides its own: the most frequent ones at its samples
+_AT_ONCE = 1 << 14  # pairs of a sample and a source whose arrays stay in a core's cache
+
+Shape: TypeAlias = tuple[int, int]
+"""Number of halvings of a box along each axis."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """All dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, large ones first.
+
+    Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
+    """
+
+    halvings: int
+
+    @cached_property
+    def first(self) -> dict[Shape, int]:
+        """Number of the first box of each shape."""
+        each = range(self.halvings + 1)
+        shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
+        shapes.sort(key=sum)
+        return dict(zip(shapes, np.cumsum([0, *(1 << sum(s) for s in shapes[:-1])]).tolist(), strict=True))
+
+    @property
+    def num_boxes(self) -> int:
+        (*_, last), first = self.first, self.first
+        return first[last] + (1 << sum(last))
+
+    def of_shape(self, values: Any, shape: Shape) -> Any:
+        """Return a view of the values of all boxes of one shape, with one axis for each axis of the domain."""
+        begin = self.first[shape]
+        return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
+
+    def halves(self, values: Any, shape: Shape, axis: int) -> Any:
+        """Return the values of the lower and upper halves of all boxes of one shape; None if these are not boxes."""
+        half = shape[0] + (axis == 0), shape[1] + (axis == 1)
+        if half not in self.first:
+            return None
+        of_halves = self.of_shape(values, half)
+        return (of_halves[::2], of_halves[1::2]) if axis == 0 else (of_halves[:, ::2], of_halves[:, 1::2])
+
+    @cached_property
+    def child(self) -> Int[np.ndarray, "2 boxes 2"]:
+        """The lower and upper half of each box along each axis, -1 if these are not boxes of the lattice."""
+        found, number = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
+        for shape, axis in product(self.first, range(2)):
+            if halves := self.halves(number, shape, axis):
+                begin = self.first[shape]
+                found[axis, begin : begin + (1 << sum(shape))] = np.stack(halves, axis=-1).reshape(-1, 2)
+        return found
+
+    @cached_property
+    def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
+        """For each shape, the first sample of each box, and what to add for some of its samples.
+
+        Of many samples these are a Hammersley set, which covers all rows and columns of a box about evenly.
+        """
+        found, row = {}, 1 << self.halvings
+        for shape in self.first:
+            size = np.array([1 << (self.halvings - along) for along in shape])
+            count = min(_SOME_SAMPLES, int(size.prod()))
+            place = np.stack(np.divmod(np.arange(count), size[1]))
+            if count < size.prod():
+                bits = (np.arange(count)[:, None] >> np.arange(count.bit_length() - 1)) & 1
+                reversed_bits = bits @ (count >> np.arange(1, count.bit_length()))
+                place = ((np.stack([np.arange(count), reversed_bits]) + 0.5) * (size[:, None] / count)).astype(int)
+            box = np.stack(np.divmod(np.arange(1 << sum(shape)), 1 << shape[1])) * size[:, None]
+            found[shape] = box[0] * row + box[1], place[0] * row + place[1]
+        return found
+
+    def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
+        """Yield each shape of given boxes, the places of its boxes, their first samples, and what to add for all."""
+        starts, shapes = np.array(list(self.first.values())), list(self.first)
+        of_shape = np.searchsorted(starts, box, side="right") - 1
+        for number in np.unique(of_shape):
+            place, shape = np.flatnonzero(of_shape == number), shapes[number]
+            rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
+            offset = ((rows[:, None] << self.halvings) + columns).ravel()
+            yield shape, place, self.samples[shape][0][box[place] - starts[number]], offset
+
+
+class GoalSamples(NamedTuple):
+    """The samples of a family as one goal sees them: places, distance (0 if there is no path), weight and source."""
+
+    table: Float[np.ndarray, "samples 4"]
+    source: Int[np.ndarray, "samples"]
+    sources: Sources
+
+
+def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
+    """Return the samples that a family shares as one of its oracles sees them."""
+    distance, source = oracle.first_turns(shared)
+    reached = source >= 0
+    columns = [np.nan_to_num(shared.x), np.where(reached, distance, 0.0), np.where(reached, shared.weight, 0.0)]
+    return GoalSamples(np.column_stack(columns), source.astype(np.int32), oracle.sources)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxFits:
+    """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error.
+
+    Boxes that use several sources are ``is_mixed``. Errors of large ones are estimated from some samples at first,
+    and ``is_estimated``.
+    """
+
+    goal: GoalSamples
+    negligible: float
+    source: Int[np.ndarray, "boxes"]
+    integral: Float[np.ndarray, "boxes"]
+    largest: Float[np.ndarray, "boxes"]
+    is_mixed: Bool[np.ndarray, "boxes"]
+    is_estimated: Bool[np.ndarray, "boxes"]
+
+    def evaluate(self, lattice: Lattice, box: Int[np.ndarray, "some"]) -> None:
+        """Replace estimated errors of boxes by the errors at all samples."""
+        for shape, place, first, offset in lattice.by_shape(box):
+            boxes = box[place]
+            total, largest, _ = option_errors(self.goal, first, offset, self.source[boxes])
+            counts = largest > self.negligible
+            self.integral[boxes] = np.where(counts, total, 0.0) / (len(offset) << sum(shape))
+            self.largest[boxes] = np.where(counts, largest, 0.0)
+        self.is_estimated[box] = False
+
+
+def option_errors(
+    goal: GoalSamples,
+    first: Int[np.ndarray, "options"],
+    offset: Int[np.ndarray, "k"],
+    source: Int[np.ndarray, "options"],
+    shortfall: float = np.inf,
+) -> Float[np.ndarray, "3 options"]:
+    """Compare distances with the cones of sources at samples ``first[i] + offset[j]``.
+
+    Return, for each option, the weighted sum of errors, the largest error, and the weight of the samples that are
+    more than ``shortfall`` above the cone, which do not see the source.
+    """
+    result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
+    for begin in range(0, len(first), at_once):
+        some = slice(begin, begin + at_once)
+        x, y, distance, weight = np.moveaxis(goal.table[first[some, None] + offset], 2, 0)
+        point = goal.sources.points[source[some]]
+        dx, dy = x - point[:, :1], y - point[:, 1:]
+        above = distance - goal.sources.distances[source[some], None] - np.sqrt(dx * dx + dy * dy)
+        error = np.abs(above)
+        result[0, some], result[1, some] = (error * weight).sum(axis=1), np.max(error * (weight > 0), axis=1)
+        if shortfall < np.inf:
+            result[2, some] = ((above > shortfall) * weight).sum(axis=1)
+    return result
+
+
+def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
+    """Find each box's best source, of those that are best in its halves; errors up to ``negligible`` count as 0."""
+    num = lattice.num_boxes
+    source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
+    integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
+    source[-len(goal.source) :] = most[-len(goal.source) :] = goal.source  # the smallest boxes are the last
+    least[-len(goal.source) :] = np.where(goal.source < 0, len(goal.sources.points), goal.source)
+    for shape in list(lattice.first)[-2::-1]:
+        halves = [axis for axis in range(2) if lattice.halves(source, shape, axis)]
+        here = slice(lattice.first[shape], lattice.first[shape] + (1 << sum(shape)))
+        lattice.of_shape(least, shape)[:] = np.minimum(*lattice.halves(least, shape, halves[0]))
+        lattice.of_shape(most, shape)[:] = source_here = np.maximum(*lattice.halves(most, shape, halves[0]))
+        lattice.of_shape(source, shape)[:] = source_here
+        mixed = np.flatnonzero(least[here] < most[here])
+        tried = [each.ravel()[mixed] for axis in halves for each in lattice.halves(source, shape, axis)]
+        tried = np.sort(np.stack(tried, axis=1), axis=1)
+        is_new = tried >= 0
+        is_new[:, 1:] &= tried[:, 1:] != tried[:, :-1]
+        box, column = np.nonzero(is_new)
+        first, offset = lattice.samples[shape]
+        of_option = np.full((2, *tried.shape), np.inf)
+        of_option[:, box, column] = option_errors(goal, first[mixed[box]], offset, tried[box, column])[:2]
+        best = of_option[0].argmin(axis=1)
+        each, place = np.arange(len(mixed)), mixed + here.start
+        source[place] = tried[each, best]
+        mean, worst = of_option[:, each, best]
+        counts = worst > negligible
+        integral[place] = np.where(counts, mean, 0.0) / (len(offset) << sum(shape))
+        largest[place] = np.where(counts, worst, 0.0)
+        is_estimated[here] = len(offset) << sum(shape) < len(goal.source)
+    is_mixed = least < most
+    return BoxFits(goal, negligible, source, integral, largest, is_mixed, is_mixed & is_estimated)
+
+
+class SampledTree(NamedTuple):
+    """The best tree at a price: split axes of nodes by level (-1: leaf), and the boxes of leaves in tree order."""
+
+    axes: list[Int[np.ndarray, "_"]]
+    box: Int[np.ndarray, "leaves"]
+
+
+def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:
+    """Return the tree of least total cost of its leaves plus a price per leaf, by dynamic programming."""
+    total, choice = costs + price, np.full(len(costs), -1, np.int8)
+    for shape in list(lattice.first)[::-1]:
+        if sum(shape) < max_depth:
+            here, axis_here = lattice.of_shape(total, shape), lattice.of_shape(choice, shape)
+            for axis in range(2):
+                if halves := lattice.halves(total, shape, axis):
+                    both = halves[0] + halves[1]
+                    cheaper = both < here
+                    here[cheaper], axis_here[cheaper] = both[cheaper], axis
+    axes, leaves, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+    while len(here):
+        axis = choice[here].astype(np.int64)
+        is_leaf, depth = axis < 0, len(axes)
+        axes.append(axis)
+        leaves.append(here[is_leaf])
+        paths.append(path[is_leaf])
+        here = lattice.child[axis[~is_leaf], here[~is_leaf]].ravel()
+        path = (path[~is_leaf, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+    return SampledTree(axes, np.concatenate(leaves)[np.argsort(np.concatenate(paths))])
+
+
+_ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
+_ROOM = 64  # one byte in this many is reserved for changes to visible sources
+_FIRST_RATE, _LEAST_RATE, _MOST_RATE = 3.0, 1.5, 25.0  # price ~ size of the file**-rate
+_BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limits; steps of logarithms of the price
+
+
+def _largest_tree(
+    lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
+) -> SampledTree:
+    """Return the largest tree found within the limits at some price; about ``num_leaves`` are expected."""
+    least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
+    largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
+    limits.require_room(files.num_bytes(fits.source[:1], limits))
+    price, tried = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
+    for _ in range(_ATTEMPTS):
+        while True:
+            tree = best_tree(lattice, fits.integral + least_share * fits.largest, np.exp(price), limits.max_depth)
+            estimated = tree.box[fits.is_estimated[tree.box]]
+            if not len(estimated):
+                break
+            fits.evaluate(lattice, estimated)
+        num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
+        excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
+        is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(tried) > 1
+        if excess <= 0 and len(tree.box) >= len(largest.box):
+            largest = tree
+        if is_final or np.log(_FULL) <= excess <= 0:
+            break
+        # Interpolate between the prices of the best tree that fits and the one that does not, or extrapolate.
+        tried.append((price, excess))
+        within, beyond = ([each for each in tried if (each[1] > 0) == side] for side in (False, True))
+        if within and beyond:
+            (high, below), (low, above) = min(within), max(beyond)
+            price = high + np.clip(below / (below - above), 0.1, 0.9) * (low - high)
+        else:
+            rate = _FIRST_RATE
+            if len(tried) > 1 and tried[-2][1] != excess:
+                rate = float(np.clip((tried[-2][0] - price) / (excess - tried[-2][1]), _LEAST_RATE, _MOST_RATE))
+            step = rate * (excess + np.copysign(_BEYOND, excess))
+            price += float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+    return largest
+
+
+def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
+    """Return the most frequent sources of leaves that use several sources, and their errors at all samples."""
+    goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
+    count = len(goal.sources.points)
+    for shape, place, first, offset in lattice.by_shape(box[mixed]):
+        leaf, own, each = mixed[place], fits.source[box[mixed[place]]], np.arange(len(place))
+        used = goal.source[first[:, None] + lattice.samples[shape][1]]
+        key, frequency = np.unique((each[:, None] * count + used)[used >= 0], return_counts=True)
+        key = key[np.lexsort((-frequency, key // count))]
+        key = key[np.arange(len(key)) - np.searchsorted(key // count, key // count) < _MOST_OPTIONS]
+        row, source = np.divmod(np.unique(np.append(key, each * count + own)), count)
+        integral, largest, hidden = option_errors(goal, first[row], offset, source, shortfall)
+        size = np.maximum(goal.table[first[:, None] + offset, 3].sum(axis=1), np.finfo(float).tiny)[row]
+        mean, share = integral / size, len(offset) << sum(shape)
+        options.append(
+            (leaf[row], source, source == own[row], hidden == 0, mean, hidden / size, largest, integral, size / share)
+        )
+    return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyTask:
+    """A builder of cone leaves for oracles of one family (goals of one workspace)."""
+
+    shared: Any
+    lattice: Lattice
+    files: ConeFiles
+    domain: Box
+    limits: Limits
+    num_leaves: float
+
+    def __call__(self, oracle: FamilyFn) -> ConeTree | None:
+        """Return the best cones for one goal; None if no sample reaches it."""
+        goal = goal_samples(oracle, self.shared)
+        if (goal.source < 0).all():
+            return None
+        fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
+        files = self.files.of_goal(oracle.sources)
+        tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
+        view, total, most = fits.source[tree.box], fits.integral[tree.box].sum(), fits.largest[tree.box].max()
+        if fits.is_mixed[tree.box].any():
+            shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
+            options = _options(self.lattice, fits, tree.box, shortfall)
+
+            def has_room(view: Int[np.ndarray, "leaves"]) -> bool:
+                return files.num_bytes(view, self.limits) <= self.limits.max_bytes
+
+            view = change_sources(view, options, float(total), float(most), has_room)
+        return tree_of_axes(tree.axes, 2), files.stored(view)
+
+
+def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
+    """Make the builder for the family of the oracle ``first``; None if samples are too few for such large trees."""
+    # Estimate the number of leaves that the limits allow.
+    bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
+    of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)
+    of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
+    num_leaves = max(1.0, min(float(limits.max_leaves), (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
+    if num_leaves > _MOST_LEAVES:
+        return None
+    halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
+    halvings = min(halvings, _MOST_HALVINGS, limits.max_axis_depth)
+    place = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
+    cells = Cells(np.full(place.shape, halvings), place)
+    shared, files = first.shared_samples(*cells.boxes(domain)), ConeFiles(first.sources, domain)
+    return FamilyTask(shared, Lattice(halvings), files, domain, limits, num_leaves)
