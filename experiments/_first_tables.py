@@ -14,8 +14,32 @@ def fresh(results: dict[str, Any]) -> str:
         words=2,
     )
     return table + (
-        f"\nMedians of {results['turns']} processes. Errors are shares of the mean distance. Truths: the exact oracle; "
-        "for costs a march over 3,201 x 1,601 nodes.\n"
+        f"\nMedians of {results['turns']} processes. Errors are shares of the mean distance. Truths: the exact "
+        "oracle; for costs a march over 3,201 x 1,601 nodes.\n"
+    )
+
+
+def cost_distance(
+    errors: dict[str, Any], bounds: dict[str, Any], mountain: dict[str, Any], large: dict[str, Any]
+) -> str:
+    """Return errors and seconds of cost distances by several tools, and what bounds, slopes and size cost."""
+    table = formatted(
+        errors["rows"],
+        *(("raster", "{raster}"), ("tool", "{tool}"), ("sources", "{sources}"), ("mean error", "{mean:.2%}")),
+        *(("largest", "{largest:.2%}"), ("CPU s", "{cpu_seconds:.2f}"), ("truth off by", "{halved:.2%}")),
+        words=2,
+    )
+    proven = bounds["rows"]
+    gaps, seconds = ([row[key] for row in proven] for key in ("gap", "cpu_seconds"))
+    hike, big = mountain["rows"], large["rows"][0]
+    return table + (
+        f"\nErrors are shares of the mean distance, on {errors['side']} x {errors['side']} cells. Truth: a march of "
+        f"scikit-fmm over {errors['finer']} times as many nodes along each axis; off by: its mean distance from a march "
+        f"over half as many. Proven bounds are {min(gaps):.1%} to {max(gaps):.1%} of the mean distance apart and take "
+        f"{min(seconds):.0f} to {max(seconds):.0f} CPU s; {sum(row['broken'] for row in proven)} are broken. By "
+        f"Tobler's function on a mountain, mean errors are {max(row['mean'] for row in hike):.1%} beside a raster three "
+        f"times finer. {big['side']:,} x {big['side']:,} cells with {big['sources']} sources take "
+        f"{big['cpu_seconds'] / 60:.1f} CPU minutes and {big['megabytes'] / 1e3:.1f} GB.\n"
     )
 
 

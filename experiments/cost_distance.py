@@ -1,10 +1,12 @@
 """Cost distance over rasters beside the tools of GIS: errors, seconds, memory.
 
-Rasters of 400 x 400 cells: smooth costs, classes of land, an expensive river of one cell with a gap, a cheap road of
-one cell. The truth of each is a march of scikit-fmm over 16 times as many nodes; ``halved`` is the distance of the
-truth from a march with half as many along each axis, which tells how far the truth is off. Rivals get the same cells:
-scikit-image ``MCP_Geometric``, xarray-spatial, scikit-fmm. ``mountain``: seconds of a hiker by Tobler's function, there
-and back, beside edges of up to seven cells on a raster three times finer. ``large``: 10,000 x 10,000 cells.
+Rasters of 400 x 400 cells: smooth costs, classes of land, an expensive river of one cell with a ford, a cheap road of
+one cell. The truth of each is a march of scikit-fmm over eight times as many nodes along each axis. ``halved`` is its
+distance from a march over half as many, which tells how far the truth is off. Rivals get the same cells: scikit-image
+``MCP_Geometric``, xarray-spatial, scikit-fmm.
+
+``mountain``: seconds of a hiker by Tobler's function, there and back, beside a raster three times finer. ``large``:
+10,000 x 10,000 cells.
 """
 
 from collections.abc import Callable

@@ -89,6 +89,10 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "solve_bodies": (distances.solve_bodies, "solve.bodies"),
     "solve_cars": (distances.solve_cars, "solve.cars"),
     "solve_nodes": (distances.solve_nodes, "solve.nodes"),
+    "cost_distance": (
+        first.cost_distance,
+        *(f"cost_distance.{part}" for part in ("errors", "bounds", "mountain", "large")),
+    ),
     "summaries": (distances.summaries, "compare_summaries"),
     "pair_bounds": (distances.pair_bounds, "pair_bounds"),
     "fleets": (distances.fleets, "fleets"),

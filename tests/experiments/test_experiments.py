@@ -44,6 +44,7 @@ FAMILIES = {
     "grid_distance": ("--only", "rooms"),
     "shaping": ("--only", "learning"),
     "costs": ("--only", "estimates"),
+    "cost_distance": ("--only", "mountain"),
     "volumes": ("--only", "volumes"),
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
