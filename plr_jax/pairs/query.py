@@ -95,12 +95,17 @@ class PairTables:
     is_certain: bool = field(default=False, metadata={"static": True})
 
 
+def table_size(num_corners: int) -> int:
+    """Return the number of rows of tables of corners: out of few sizes, with a row of ``inf`` for padding."""
+    return size_in_eighths(num_corners + 1)
+
+
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     """Build the tables of a file of ``num_bytes`` bytes, from which some of their sizes follow."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
-    size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
+    size, rows = table_size(count), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
